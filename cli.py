@@ -1,0 +1,3 @@
+from wobblesim.commands import main
+
+main()

@@ -1,0 +1,33 @@
+"""Kernels against SciPy's DOP853 on smooth motion: a working triangle in space, and a network of springs."""
+
+import numpy as np
+import pytest
+from measures import slope
+from reference.scipy_reference import solve
+from scenes import random_behaviours, random_body
+
+import wobblesim as ws
+
+GAIT = ws.Gait(period=0.5, max_amplitude=0.2)
+SPACE = ws.Scene(gravity=(3.0, -10.0), floor=None)
+STEPS = {1: [2e-4, 1e-4, 5e-5], 2: [2e-3, 1e-3, 5e-4], 4: [8e-4, 4e-4, 2e-4]}
+
+
+@pytest.mark.parametrize("integrator", ws.INTEGRATORS)
+def test_working_network_converges_to_scipy(integrator):
+    body, behaviours, duration = random_body(31), random_behaviours(1, 1, 2), 0.5
+    exact = solve(body, behaviours[0], gravity=SPACE.gravity, gait=GAIT, times=np.array([0.0, duration]))[-1, 0]
+    order, errors = ws.INTEGRATORS[integrator].order, []
+    for dt in STEPS[order]:
+        physics = ws.Physics(integrator=integrator, dt=dt, precision="float64")
+        trials = ws.simulate(
+            body,
+            behaviours,
+            scene=SPACE,
+            physics=physics,
+            gait=GAIT,
+            duration=duration,
+            record_every=round(duration / dt),
+        )
+        errors.append(np.abs(trials.positions[-1, :, :, 0] - exact).max())
+    assert slope(np.array(STEPS[order]), np.array(errors)) == pytest.approx(order, abs=0.15)

@@ -1,0 +1,82 @@
+"""The linearly implicit midpoint rule (design, section 4, ``midpoint``): full matrix, dense solve."""
+
+from __future__ import annotations
+
+import numpy as np
+from reference.law import (
+    TANGENTIAL_DAMPING_RATIO,
+    Trajectory,
+    contact_damping_ratio,
+    damping,
+    direction,
+    movable,
+    rest_lengths,
+)
+
+
+def simulate_one(body, behaviour, *, gravity, floor, gait, dt, steps, theta=0.55) -> Trajectory:
+    """Steps of `dt` s from the body's start; `gravity` is a vector (2,) in u/s2."""
+    x, v = np.array(body.position, dtype=float), np.array(body.velocity, dtype=float)
+    v[body.fixed] = 0
+    anchor, dashpots = x[:, 0].copy(), damping(body)
+    free = np.repeat(~np.asarray(body.fixed), 2)
+    trajectory = Trajectory()
+    trajectory.keep(x, v)
+    for n in range(steps):
+        middle = x + dt / 2 * v
+        rest = rest_lengths(body, behaviour, gait, n * dt + dt / 2)
+        matrix = np.diag(np.repeat(np.asarray(body.mass, dtype=float), 2))
+        impulse = dt * np.asarray(body.mass)[:, None] * np.asarray(gravity)
+        add_springs(body, dashpots, middle, v, rest, dt, theta, matrix, impulse)
+        if floor is not None:
+            add_floor(body, middle, v, anchor, floor, dt, theta, matrix, impulse)
+        change = np.zeros(2 * len(x))
+        change[free] = np.linalg.solve(matrix[np.ix_(free, free)], impulse.ravel()[free])
+        change = change.reshape(-1, 2)
+        x += dt * (v + change / 2)
+        v += change
+        trajectory.keep(x, v)
+    return trajectory
+
+
+def add_springs(body, dashpots, middle, v, rest, h, theta, matrix, impulse) -> None:
+    """Impulse h f and axial matrix block s u u^T of each spring, at the midpoint prediction."""
+    for s in movable(body):
+        a, b = body.springs[s]
+        k, c = body.stiffness[s], dashpots[s]
+        unit, distance = direction(middle[a], middle[b])
+        force = k * (distance - rest[s]) + c * unit @ (v[b] - v[a])
+        impulse[a] += h * force * unit
+        impulse[b] -= h * force * unit
+        rows = np.array([2 * a, 2 * a + 1, 2 * b, 2 * b + 1])
+        stretch = np.concatenate([-unit, unit])  # what the four coordinates do to the spring's length
+        matrix[rows[:, None], rows] += (h * c / 2 + theta * h * h / 2 * k) * np.outer(stretch, stretch)
+
+
+def add_floor(body, middle, v, anchor, floor, h, theta, matrix, impulse) -> None:
+    """Normal and tangential force of each pressing node, both implicit on the diagonal; moves the anchors.
+
+    The dashpots are bounded, so that what a step takes from the velocity stays in proportion to it.
+    """
+    for node in np.flatnonzero(~np.asarray(body.fixed)):
+        m, mu, k = body.mass[node], body.friction[node], floor.stiffness
+        c_n = min(2 * contact_damping_ratio(floor.restitution) * np.sqrt(k * m), 2 * m / h)
+        depth = -middle[node, 1]
+        normal = max(0.0, k * depth - c_n * v[node, 1]) if depth > 0 else 0.0
+        if normal == 0:
+            anchor[node] = middle[node, 0]
+            continue
+        impulse[node, 1] += h * normal
+        matrix[2 * node + 1, 2 * node + 1] += h / 2 * c_n + theta * h * h / 2 * k
+        if mu == 0:
+            continue
+        c_t = min(2 * TANGENTIAL_DAMPING_RATIO * np.sqrt(k * m), m / h)
+        tangent = k * (anchor[node] - middle[node, 0]) - c_t * v[node, 0]
+        limit = mu * normal
+        if abs(tangent) <= limit:
+            impulse[node, 0] += h * tangent
+            matrix[2 * node, 2 * node] += h / 2 * c_t + theta * h * h / 2 * k
+        else:
+            tangent = np.copysign(limit, tangent)
+            impulse[node, 0] += h * tangent
+            anchor[node] = middle[node, 0] + (tangent + c_t * v[node, 0]) / k

@@ -1,0 +1,1 @@
+"""What came out: stored tables as frames, statistics, figures."""

@@ -1,0 +1,100 @@
+"""The command line. A command's file is imported when the command is named, what it needs when it runs."""
+
+from __future__ import annotations
+
+import importlib
+from typing import IO, Any
+
+import click
+
+COMMANDS = {
+    "sweep": "wobblesim.commands.sweep",
+    "status": "wobblesim.commands.status",
+    "plot": "wobblesim.commands.plot",
+    "check": "wobblesim.commands.check",
+    "bench": "wobblesim.commands.bench",
+}
+"""Where each command lives: a module with a `command`."""
+
+INTERRUPTED = 130
+
+
+class LazyGroup(click.Group):
+    """Commands by name, imported when needed; what users can put right ends in one sentence instead of a traceback."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a name."""
+        return importlib.import_module(COMMANDS[cmd_name]).command if cmd_name in COMMANDS else None
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run a command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            ctx.exit(INTERRUPTED)
+        except Exception as error:
+            if refusal := _in_one_sentence(error):
+                raise refusal from error
+            raise
+
+
+def _in_one_sentence(error: Exception) -> click.ClickException | None:
+    """What a mistake of the user, or a full disk, is told as; other errors are ours and have a traceback."""
+    from wobblesim.config import ConfigError
+
+    if isinstance(error, ConfigError):
+        return _Refusal(error.report())
+    # Only a command that imported these modules can have raised their errors.
+    plan, store = (importlib.import_module(f"wobblesim.study.{name}") for name in ("plan", "store"))
+    if isinstance(error, store.WriteError):
+        return _NotWritten(str(error))
+    if isinstance(error, plan.PlanError | store.StoreError):
+        return _Refusal(str(error))
+    return None
+
+
+class _Refusal(click.ClickException):
+    """A message shown as it is, so that FILE:LINE:COLUMN stands first."""
+
+    exit_code = 2
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """Print the message on stderr."""
+        click.echo(self.message, file=file, err=True)
+
+
+class _NotWritten(_Refusal):
+    exit_code = 1
+
+
+def _show_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        from wobblesim.study.provenance import version_of
+
+        click.echo(f"wobblesim {version_of('wobblesim')}")
+        ctx.exit()
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
+def main() -> None:
+    """Does oscillating a robot's morphology while it learns make it learn better?
+
+    \b
+    Begin with
+        wobblesim sweep configs/quickstart.yaml
+
+    Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 internal error, 2 bad usage or
+    configuration, 3 done but some runs failed, 4 stopped early (the same command goes on), 130 second Ctrl-C.
+    """  # noqa: D301 - click reads the backspace

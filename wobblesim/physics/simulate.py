@@ -1,0 +1,291 @@
+"""Many trials of one robot at once: validate, lay out lanes, run the blocks on threads, read off the outcome."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wobblesim.physics.contract import Method, Muscles, State, System, rows, step, system_of
+from wobblesim.physics.kernels import available_threads, kernel
+from wobblesim.physics.lanes import LanesTag, any_lane, lanes, load, select, splat, store
+from wobblesim.physics.registry import INTEGRATORS
+from wobblesim.physics.scene import Physics, Scene
+from wobblesim.robot.body import Body
+from wobblesim.robot.gait import Gait, clock, split_behaviours
+from wobblesim.robot.morphology import Morphology
+
+WATCH_EVERY = 16  # steps between two looks for diverged lanes
+VECTOR_BYTES = 64  # one AVX-512 register, or two AVX2 registers
+# A step on rows of half the width takes 2**-0.75 = 0.6 of the time: see benchmarks/.
+NARROW_EXPONENT = 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """What came of each trial.
+
+    Attributes
+    ----------
+    displacement : (n_trials,) float
+        Of the mean of the centre's nodes along +x, body lengths; NaN if the trial diverged.
+    status : (n_trials,) str
+        ``ok``; ``limited``: a limiter of the integrator has acted; ``diverged``: a node went beyond the speed
+        bound or stopped being a number.
+    limited : (n_trials,) int
+        Node-steps that a limiter has cut.
+    diverged_at : (n_trials,) float
+        When the divergence was found, s (looked for every 16 steps); NaN if it was not.
+    inverted : (n_trials,) int
+        Cells of the body inside out at the end; 0 for a diverged trial.
+    positions : (n_frames, n_nodes, 2, n_trials) or None
+        u; frame 0 is the start, NaN from the divergence on. None if not recorded.
+    """
+
+    displacement: NDArray[np.float64]
+    status: NDArray[np.str_]
+    limited: NDArray[np.int64]
+    diverged_at: NDArray[np.float64]
+    inverted: NDArray[np.int64]
+    positions: NDArray[Any] | None
+
+
+def simulate(
+    body: Body,
+    behaviours: ArrayLike,
+    *,
+    morphology: Morphology = Morphology(),
+    scene: Scene = Scene(),
+    physics: Physics = Physics(),
+    gait: Gait = Gait(),
+    duration: float,
+    record_every: int | None = None,
+    threads: int | None = None,
+    width: int | None = None,
+) -> Trials:
+    """Try behaviours on one robot, each from the same start.
+
+    A trial's bits depend on nothing but its own behaviour: not on the other trials, their number or order, nor
+    on lane width or threads.
+
+    Parameters
+    ----------
+    body : Body
+        The adult.
+    behaviours : (n_trials, 2 n_groups)
+        Amplitudes (units of `Gait.max_amplitude`) of all motor groups, then their offsets in turns.
+    morphology : Morphology
+        Factors on the adult.
+    scene : Scene
+    physics : Physics
+    gait : Gait
+    duration : float
+        s; rounded to a whole number of steps.
+    record_every : int, optional
+        Keep the positions of every such step.
+    threads : int, optional
+        At most this many; all that Numba may use if not given.
+    width : int, optional
+        Lanes a block; the fastest if not given.
+
+    Returns
+    -------
+    Trials
+
+    Raises
+    ------
+    ValueError
+        If a shape, name or range is wrong, or the integrator refuses the step.
+    """
+    behaviours = _checked_behaviours(body, behaviours)
+    n_steps = _checked_steps(duration, physics.dt, record_every)
+    if physics.integrator not in INTEGRATORS:
+        raise ValueError(f"no integrator named {physics.integrator!r}: there are {', '.join(INTEGRATORS)}")
+    adapted = body.adapted(morphology)
+    system = system_of(adapted, scene, morphology.gravity)
+    threads = threads or available_threads()
+    integrator = INTEGRATORS[physics.integrator]
+    width = width or best_width(len(behaviours), threads, integrator.registers, physics.precision)
+    tag = lanes(physics.precision, width)
+    method = integrator.prepare(system, physics, tag)
+    signals = split_behaviours(behaviours, gait)
+    ticks = clock(gait, physics.dt, 2 * n_steps + 1).astype(tag.dtype)
+    run = functools.partial(_run_block, tag, system, method, ticks, n_steps, physics, record_every)
+    blocks = [_lanes_of(signals, start, tag) for start in range(0, len(behaviours), tag.width)]
+    if threads == 1 or len(blocks) <= 1:
+        outcomes = [run(block) for block in blocks]
+    else:
+        with ThreadPoolExecutor(min(threads, len(blocks))) as pool:
+            outcomes = list(pool.map(run, blocks))
+    return _read_off(adapted, system, method, physics, n_steps, record_every, outcomes, len(behaviours))
+
+
+def _checked_behaviours(body: Body, behaviours: ArrayLike) -> NDArray[np.float64]:
+    behaviours = np.asarray(behaviours, dtype=np.float64)
+    if behaviours.ndim != 2 or behaviours.shape[1] != 2 * body.n_groups:
+        raise ValueError(
+            f"behaviours have shape {behaviours.shape}: they must have (n_trials, {2 * body.n_groups}), "
+            f"an amplitude and an offset for each of the {body.n_groups} motor groups"
+        )
+    return behaviours
+
+
+def _checked_steps(duration: float, dt: float, record_every: int | None) -> int:
+    if not (math.isfinite(duration) and duration > 0):
+        raise ValueError(f"duration is {duration}: it must be a finite time > 0 s")
+    if record_every is not None and record_every < 1:
+        raise ValueError(f"record_every is {record_every}: it must be 1 step or more")
+    return max(1, round(duration / dt))
+
+
+def best_width(n_trials: int, threads: int, registers: int, precision: str) -> int:
+    """Lane width with the shortest time for so many trials on so many threads.
+
+    Rows as wide as the integrator likes, unless narrower ones keep more threads busy or pad less.
+    """
+    full = registers * VECTOR_BYTES // np.dtype(precision).itemsize
+
+    def cost(width: int) -> float:
+        blocks = math.ceil(n_trials / width)
+        return math.ceil(blocks / threads) * (width / full) ** NARROW_EXPONENT
+
+    return min((full, full // 2, full // 4), key=cost)
+
+
+def _lanes_of(signals: tuple[Any, Any], start: int, tag: LanesTag) -> tuple[Any, Any]:
+    """Sine and cosine parts of one block's signals; the last block repeats its last trial to fill its lanes."""
+    n_trials = signals[0].shape[1]
+    trials = np.minimum(np.arange(start, start + tag.width), n_trials - 1)
+    block = tuple(rows(len(part), tag) for part in signals)
+    for lane_rows, part in zip(block, signals, strict=True):
+        lane_rows[:] = part[:, trials]
+    return block  # type: ignore[return-value]
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """What one block of lanes leaves behind, rows in the integrator's node order."""
+
+    state: State
+    watch: NDArray[Any]
+    frames: NDArray[Any] | None
+
+
+def _run_block(
+    tag: LanesTag, system: System, method: Method, ticks: NDArray[Any], n_steps: int, physics: Physics,
+    record_every: int | None, signals: tuple[Any, Any],
+) -> _Outcome:  # fmt: skip
+    order = method.node_order
+    state = State(*(rows(system.n_nodes, tag) for _ in range(4)))
+    for target, source in zip(state, (*system.position.T, *system.velocity.T), strict=True):
+        target[:] = source[order, None]
+    rest = rows(len(system.rest), tag)
+    rest[:] = system.rest[:, None]
+    frames = None
+    if record_every is not None:
+        frames = rows((n_steps // record_every + 1) * 2 * system.n_nodes, tag)
+    watch = rows(2, tag)
+    watch[1] = -1.0
+    advance(
+        tag, method.constants, method.floor, method.friction, _muscles(system, signals, ticks, tag), state, rest,
+        method.workspace(state), watch, frames, record_every or 1, n_steps, tag.dtype.type(physics.max_speed),
+    )  # fmt: skip
+    return _Outcome(state, watch, frames)
+
+
+def _muscles(system: System, signals: tuple[Any, Any], ticks: NDArray[Any], tag: LanesTag) -> Muscles | None:
+    if len(system.muscle_row) == 0:
+        return None
+    length = system.rest[system.muscle_row]
+    return Muscles(
+        row=system.muscle_row, group=system.muscle_group, length=length.astype(tag.dtype),
+        signed_length=(system.muscle_sign * length).astype(tag.dtype), sine=signals[0], cosine=signals[1], clock=ticks,
+    )  # fmt: skip
+
+
+@kernel
+def advance(
+    tag, constants, floor, friction, muscles, state, rest, work, watch, frames, record_every, n_steps, max_speed
+):
+    """Run one block of lanes through all steps.
+
+    Written in place: `state`, `rest`, `work`; ``watch (2, width)``: node-steps limited, and the step at which a lane
+    was found diverged (-1: never); ``frames (n_frames 2 n_nodes, width)``: x and y of each node, or None.
+    """
+    if frames is not None:
+        _record(tag, state, frames, 0)
+    for n in range(n_steps):
+        step(tag, constants, floor, friction, muscles, state, rest, watch, work, n)
+        if frames is not None and (n + 1) % record_every == 0:
+            _record(tag, state, frames, (n + 1) // record_every)
+        look = (n + 1) % WATCH_EVERY == 0 or n + 1 == n_steps
+        if look and _all_diverged(tag, state, watch, n + 1, max_speed):
+            break
+
+
+@kernel
+def _record(tag, state, frames, frame):
+    n_nodes = len(state.x)
+    for i in range(n_nodes):
+        store(tag, frames, 2 * (frame * n_nodes + i), load(tag, state.x, i))
+        store(tag, frames, 2 * (frame * n_nodes + i) + 1, load(tag, state.y, i))
+
+
+@kernel
+def _all_diverged(tag, state, watch, n, max_speed):
+    """Note lanes with a node beyond the speed bound, or not a number, for the first time."""
+    sound = load(tag, watch, 1) < 0.0
+    was_sound = sound
+    for i in range(len(state.x)):
+        place = load(tag, state.x, i) + load(tag, state.y, i)
+        sound = sound & (abs(load(tag, state.vx, i)) <= max_speed) & (abs(load(tag, state.vy, i)) <= max_speed)
+        sound = sound & (place - place <= 0.0)  # neither infinite nor NaN
+    store(tag, watch, 1, select(was_sound & ~sound, splat(tag, n), load(tag, watch, 1)))
+    return not any_lane(sound)
+
+
+def _read_off(
+    body: Body, system: System, method: Method, physics: Physics, n_steps: int, record_every: int | None,
+    outcomes: list[_Outcome], n_trials: int,
+) -> Trials:  # fmt: skip
+    node_row = np.argsort(method.node_order)
+    x, y = (np.concatenate([getattr(o.state, name) for o in outcomes], axis=1)[node_row, :n_trials].astype(np.float64)
+            for name in ("x", "y"))  # fmt: skip
+    limited, step_found = (
+        np.concatenate([o.watch[row] for o in outcomes])[:n_trials].astype(np.int64) for row in (0, 1)
+    )
+    diverged = step_found >= 0
+    place = _mean(x[body.center]) - _mean(system.position[body.center, 0])
+    inverted = body.inversions(np.stack([x, y], axis=1)) if len(body.cells) else np.zeros(n_trials, np.int64)
+    positions = None
+    if record_every is not None:
+        positions = np.concatenate([_frames_of(o, system.n_nodes) for o in outcomes], axis=-1)[
+            :, node_row, :, :n_trials
+        ]
+        frame_step = np.arange(len(positions)) * record_every
+        lost = diverged & (frame_step[:, None] >= step_found)
+        positions[np.broadcast_to(lost[:, None, None, :], positions.shape)] = np.nan
+    return Trials(
+        displacement=np.where(diverged, np.nan, place / body.body_length),
+        status=np.where(diverged, "diverged", np.where(limited > 0, "limited", "ok")),
+        limited=limited,
+        diverged_at=np.where(diverged, step_found * physics.dt, np.nan),
+        inverted=np.where(diverged, 0, inverted),
+        positions=positions,
+    )
+
+
+def _mean(values: NDArray[Any]) -> Any:
+    """Mean over the first axis, added up in order: NumPy's own order depends on the number of columns."""
+    return functools.reduce(operator.add, values) / len(values)
+
+
+def _frames_of(outcome: _Outcome, n_nodes: int) -> NDArray[Any]:
+    assert outcome.frames is not None
+    return outcome.frames.reshape(-1, n_nodes, 2, outcome.frames.shape[1])

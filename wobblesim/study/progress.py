@@ -1,0 +1,105 @@
+"""Where a sweep stands, for whoever wants to show it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["begin", "epoch", "run", "failure", "note", "end"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a sweep stands, as told after every epoch, run and trouble.
+
+    Attributes
+    ----------
+    kind : {"begin", "epoch", "run", "failure", "note", "end"}
+    wanted, present, done, failed : int
+        Runs: asked for; there before this command; computed by it; come to nothing.
+    diverged : int
+        Trials that diverged under this command.
+    group : str
+        The runs in progress, in words.
+    epoch, epochs : int
+        Epochs done and wanted of the group in progress.
+    fraction : float
+        Part of the missing work that is done, 0 to 1.
+    remaining : float or None
+        Estimated wall time to the end, s; None while nothing is known.
+    message : str
+        One sentence, for "run", "failure" and "note".
+    """
+
+    kind: Kind
+    wanted: int
+    present: int
+    done: int
+    failed: int
+    diverged: int
+    group: str
+    epoch: int
+    epochs: int
+    fraction: float
+    remaining: float | None
+    message: str
+
+
+class Meter:
+    """Counts a sweep's runs and lane-steps, and tells of them.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with each `Progress`.
+    wanted, present, failed : int
+        Runs asked for, there already, and of the latter those that failed.
+    work : int
+        Lane-steps of the missing runs, at most.
+    """
+
+    def __init__(self, tell: Callable[[Progress], None], wanted: int, present: int, failed: int, work: int) -> None:
+        self._tell, self.wanted, self.present, self.failed, self.work = tell, wanted, present, failed, work
+        self.done = self.diverged = self.epoch = self.epochs = 0
+        self.group = ""
+        self._worked = 0
+        self._first: tuple[float, int] | None = None
+
+    def tell(self, kind: Kind, message: str = "") -> None:
+        """Say where the sweep stands."""
+        fraction = min(1.0, self._worked / self.work) if self.work else 1.0
+        counts = {name: getattr(self, name) for name in ("wanted", "present", "done", "failed", "diverged")}
+        place = {name: getattr(self, name) for name in ("group", "epoch", "epochs")}
+        self._tell(Progress(kind, **counts, **place, fraction=fraction, remaining=self._remaining(), message=message))
+
+    def skip(self, work: int) -> None:
+        """Leave out lane-steps that need not be done: an earlier command did them, or their runs came to nothing."""
+        self.work -= work
+
+    def finish(self, message: str, *, failed: bool) -> None:
+        """Count a run that was stored."""
+        self.done += 1
+        self.failed += failed
+        self.tell("run", message)
+
+    def fail(self, runs: int, message: str) -> None:
+        """Count runs that came to nothing."""
+        self.failed += runs
+        self.tell("failure", message)
+
+    def count(self, work: int, diverged: int) -> None:
+        """Count the lane-steps and the diverged trials of an epoch."""
+        self._worked += work
+        self.diverged += diverged
+        if self._first is None:
+            # The first epoch may contain the compilation of the kernels: the rate is measured from its end.
+            self._first = time.monotonic(), self._worked
+
+    def _remaining(self) -> float | None:
+        if self._first is None:
+            return None
+        since, before = self._first
+        worked = self._worked - before
+        return (time.monotonic() - since) / worked * max(0, self.work - self._worked) if worked else None
