@@ -32,12 +32,13 @@ def grain_path(integrator, scene, duration, dt=None, height=0.0, velocity=(0.0, 
 @pytest.mark.parametrize("tangent", [0.1, 0.25, 0.45, 0.49])
 @pytest.mark.parametrize("integrator", DT)
 def test_grain_sticks_below_the_friction_angle(integrator, tangent):  # CF-1
-    # After a second for landing: no creep. The compliant floor first yields elastically, and near the threshold the
-    # overshoot of the landing slips a little before the anchor holds.
-    x = grain_path(integrator, ws.Scene(gravity=incline(tangent)), 5.0)[:, 0]
-    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6
-    deflection = 0.0 if integrator == "impulse" else incline(tangent)[0] / STIFFNESS
-    assert abs(x[-1] - deflection) < 0.1
+    down, into = incline(tangent)
+    depth, deflection = (0.0, 0.0) if integrator == "impulse" else (-into / STIFFNESS, down / STIFFNESS)
+    x = grain_path(integrator, ws.Scene(gravity=(down, into)), 5.0, height=-depth)[:, 0]
+    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6  # no creep; measured 1.4e-10
+    # The tangential spring, damped with ratio 0.2, overshoots to 1.53 times the pull: beyond mu above tan 0.33, where
+    # the anchor slips once before it holds (measured 0.03 u at tan 0.49).
+    assert abs(x[-1] - deflection) < (1e-6 if tangent < 0.33 else 0.1)
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -48,7 +49,7 @@ def test_grain_slides_above_the_friction_angle_as_coulomb_says(integrator, tange
     # Second difference over 1, 3 and 5 s: the landing within the first tenth of a second leaves a speed behind.
     second = round(1 / DT[integrator])
     acceleration = (x[5 * second] - 2 * x[3 * second] + x[second]) / 4
-    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)
+    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 1e-12
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -57,7 +58,7 @@ def test_impulse_halves_friction_above_unit_speed(tangent):  # CF-1: the author'
     x = grain_path("impulse", ws.Scene(gravity=(down, into)), 5.0)[:, 0]
     second = round(1 / DT["impulse"])
     acceleration = x[5 * second] - 2 * x[4 * second] + x[3 * second]
-    assert acceleration == pytest.approx(down + FRICTION / 2 * into, rel=1e-6)
+    assert acceleration == pytest.approx(down + FRICTION / 2 * into, rel=1e-6)  # measured 6e-14
 
 
 def robot_path(tangent):
@@ -71,7 +72,7 @@ def robot_path(tangent):
 
 @pytest.mark.parametrize("tangent", [0.1, 0.25, 0.45, 0.49])
 def test_robot_sticks_below_the_friction_angle(tangent):  # CF-1
-    assert np.ptp(robot_path(tangent)[-6:]) < 1e-6
+    assert np.ptp(robot_path(tangent)[-6:]) < 1e-6  # measured 3e-14
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -79,7 +80,7 @@ def test_robot_slides_above_the_friction_angle_as_coulomb_says(tangent):  # CF-1
     x = robot_path(tangent)
     down, into = incline(tangent)
     acceleration = (x[-1] - 2 * x[-6] + x[-11]) / 25
-    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)
+    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 1e-12
 
 
 def stopping_distances(integrator, frictions, speed, **options):
@@ -95,8 +96,8 @@ def stopping_distances(integrator, frictions, speed, **options):
 def test_sliding_grain_stops_where_coulomb_says(integrator):  # CF-2
     frictions = np.array([0.75, 0.5, 0.35, 0.1, 0.0])
     distances = stopping_distances(integrator, frictions, 50.0)
-    np.testing.assert_allclose(distances[:-1], 50.0**2 / (2 * frictions[:-1] * GRAVITY), rtol=0.01)
-    assert distances[-1] == pytest.approx(50.0 * 8.0, rel=1e-12)
+    np.testing.assert_allclose(distances[:-1], 50.0**2 / (2 * frictions[:-1] * GRAVITY), rtol=0.01)  # 2.1e-4
+    assert distances[-1] == pytest.approx(50.0 * 8.0, rel=1e-11)  # measured 9.1e-13, of RK4; 0 of midpoint
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 5, 20])
@@ -105,7 +106,7 @@ def test_sliding_of_impulse_depends_on_its_iterations(iterations):  # CF-2: the 
     distances = stopping_distances("impulse", frictions, 50.0, iterations=iterations)
     half = (50.0**2 - 1) / (frictions * GRAVITY) + 1 / (2 * frictions * GRAVITY)  # mu/2 down to 1 u/s, then mu
     expected = np.full(3, 50.0 * 8.0) if iterations == 1 else half
-    np.testing.assert_allclose(distances, expected, rtol=0.02)
+    np.testing.assert_allclose(distances, expected, rtol=0.02)  # measured 3.8e-3
 
 
 RESTITUTIONS = [0.0, 0.3, 0.5, 0.9, 1.0]
@@ -125,11 +126,11 @@ def rebounds(integrator, restitution, speeds, dt):
 def test_impulse_rebounds_exactly(restitution):  # CF-4
     speeds = np.linspace(0.1, 10, 100)
     after = rebounds("impulse", restitution, speeds, 0.005)
-    np.testing.assert_allclose(after, restitution * speeds, atol=1e-5)
+    np.testing.assert_allclose(after, restitution * speeds, atol=1e-5)  # measured 4e-14
 
 
 # Largest error over speeds and phases of the touch-down at a step of 1e-3 s / 16 (restitution 0: 8e-5 s / 16).
-REBOUND_ERROR = {"midpoint": 2e-3, "explicit": 1e-3}
+REBOUND_ERROR = {"midpoint": 2e-3, "explicit": 1e-3}  # measured 1.3e-3, 8.6e-4, both at restitution 0.3
 
 
 @pytest.mark.parametrize("restitution", RESTITUTIONS)
@@ -139,8 +140,7 @@ def test_compliant_rebound_converges_to_the_restitution(integrator, restitution)
     speeds, limit = np.linspace(0.1, 10, 100), max(restitution, rebound(50.0))
     steps = (1e-3 if restitution else 8e-5) * 0.5 ** np.arange(5)
     errors = [np.abs(rebounds(integrator, restitution, speeds, dt) / speeds - limit).max() for dt in steps]
-    print("CF4", integrator, restitution, errors, slope(steps, errors))
-    assert slope(steps, errors) > 0.9
+    assert slope(steps, errors) > 0.9  # measured 1.00 to 1.14, and 1.97 at restitution 1
     assert errors[-1] < REBOUND_ERROR[integrator]
 
 
@@ -153,7 +153,7 @@ def test_grain_comes_to_rest(integrator, restitution):  # CF-5
     y = grain_path(integrator, scene, 60.0, dt=dt, height=5.0)[:, 1]
     late = y[len(y) // 2 :]
     depth = 0.0 if integrator == "impulse" else GRAVITY / STIFFNESS
-    assert np.ptp(late) < 1e-6
+    assert np.ptp(late) < 1e-6  # measured 0
     assert late.mean() == pytest.approx(-depth, abs=1e-6)
 
 
@@ -185,7 +185,7 @@ def test_depth_at_rest_is_the_weight_over_the_stiffness(integrator):  # CF-6
         body = grains(np.zeros((3, 2)), mass=masses)
         physics = ws.Physics(integrator=integrator, dt=DT[integrator], precision="float64")
         trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=10.0, record_every=1)
-        np.testing.assert_allclose(-trials.positions[-1, :, 1, 0], masses * GRAVITY / stiffness, rtol=1e-6)
+        np.testing.assert_allclose(-trials.positions[-1, :, 1, 0], masses * GRAVITY / stiffness, rtol=1e-6)  # 2e-15
 
 
 @pytest.mark.parametrize("integrator", ["impulse", "midpoint"])
@@ -197,7 +197,7 @@ def test_fast_grains_do_not_pass_the_floor(integrator):  # CF-7
     x = trials.positions[..., 0]
     flying = (x[1:, :, 1] > 1) & (x[:-1, :, 1] > 1)
     rising = np.where(flying, np.diff(x[:, :, 1], axis=0), 0).max(axis=0) / physics.dt
-    assert (rising < 0.6 * speeds).all()
+    assert (rising < 0.6 * speeds).all()  # measured 0.56
     assert (x[-1, :, 1] >= -1.01 * GRAVITY / STIFFNESS).all()
 
 
@@ -226,7 +226,7 @@ def test_dropped_robot_gains_no_energy(restitution, gain):  # CF-9
 # the touch-down, as measured: mean and largest, for a restitution of 0.5 and masses down to the lightest that still
 # loses energy in every touch-down.
 @pytest.mark.parametrize(
-    ("mass", "mean", "largest"), [(20.0, 0.507, 0.552), (4.0, 0.534, 0.631), (1.0, 0.613, 0.868), (0.5, 0.663, 0.897)]
+    ("mass", "mean", "largest"), [(20.0, 0.507, 0.552), (4.0, 0.534, 0.631), (1.0, 0.613, 0.868), (0.5, 0.663, 0.848)]
 )
 def test_rebound_at_the_shipped_step_is_as_documented(mass, mean, largest):
     speed, grains_n = 10.0, 200
@@ -237,6 +237,5 @@ def test_rebound_at_the_shipped_step_is_as_documented(mass, mean, largest):
     physics = ws.Physics(dt=0.01, precision="float64")
     trials = ws.simulate(body, still(body), scene=ws.Scene(gravity=0.0), physics=physics, duration=1.0, record_every=1)
     after = (trials.positions[-1, :, 1, 0] - trials.positions[-2, :, 1, 0]) / (speed * physics.dt)
-    print("SHIP", mass, after.mean(), after.max())
     assert after.mean() == pytest.approx(mean, abs=0.01)
     assert after.max() == pytest.approx(largest, abs=0.01)

@@ -27,6 +27,9 @@ def test_one_diverging_lane_touches_no_other(integrator, bad):  # BI-11
     assert batch.status[bad] == "diverged"
     assert np.isnan(batch.displacement[bad])
     assert 0 < batch.diverged_at[bad] <= 2.0
+    found = round(batch.diverged_at[bad] / options["physics"].dt)
+    assert np.isnan(batch.positions[found + 1 :, ..., bad]).all()
+    assert np.isfinite(batch.positions[0, ..., bad]).all()
     np.testing.assert_array_equal(batch.positions[..., others], good.positions[..., others])
     np.testing.assert_array_equal(batch.displacement[others], good.displacement[others])
     np.testing.assert_array_equal(batch.status[others], good.status[others])

@@ -28,6 +28,7 @@ def test_error_of_one_spring_falls_with_the_registered_order(integrator, damping
         exact = damped_oscillator(1.0, omega, damping_ratio, np.linspace(0, duration, len(x)))
         errors.append(np.abs(x - exact).max())
     # The author's law damps so much that only its finest pair of steps is in the asymptotic range.
+    # Measured 0.95 and 1.00 (impulse), 2.00 and 2.00, 4.00 and 3.95.
     assert slope(steps[-2:], errors[-2:]) == pytest.approx(ws.INTEGRATORS[integrator].order, abs=0.1)
 
 
@@ -56,5 +57,4 @@ def test_small_motion_converges_to_the_matrix_exponential(integrator):  # SD-2
     # Two extrapolations, of order p and p + 1; what is left is the curvature that the linear reference leaves out.
     finer, coarser = (b + (b - a) / (2**order - 1) for a, b in ((middle, fine), (coarse, middle)))
     limit = finer + (finer - coarser) / (2 ** (order + 1) - 1)
-    print("SD2", integrator, ratio, np.abs(limit - exact).max() / scale)
-    assert np.abs(limit - exact).max() < 1e-5 * scale
+    assert np.abs(limit - exact).max() < 1e-5 * scale  # measured 8.6e-6 (impulse), 2.5e-6, 2.4e-6

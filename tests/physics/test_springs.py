@@ -34,7 +34,7 @@ def test_hanging_mass_comes_to_rest_at_its_weight_over_the_stiffness(integrator)
     x = final(body, ws.Scene(floor=None), integrator, dt, 10.0)
     sag = -LENGTH - x[1::2, 1]
     expected = pairs[:, 0] * 100.0 / pairs[:, 1]
-    np.testing.assert_allclose(sag / expected, 1.0, rtol=1e-3)
+    np.testing.assert_allclose(sag / expected, 1.0, rtol=1e-3)  # measured 9.3e-10
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)
@@ -56,7 +56,7 @@ def test_damping_ratio_gives_the_decay(integrator):  # SD-9
     times = dt * np.arange(len(stretch))
     for i, ratio in enumerate(ratios):
         error = np.abs(stretch[:, i] - damped_oscillator(1.0, omega, ratio, times)).max()
-        assert error < 0.02
+        assert error < 0.02  # measured 0.019 (impulse), 6.1e-3 (midpoint), 9.3e-7 (explicit), all undamped
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)

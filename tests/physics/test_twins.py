@@ -8,9 +8,9 @@ from scenes import chain, grains, random_behaviours, random_body, triangle
 import wobblesim as ws
 
 DT = {"impulse": 0.005, "midpoint": 0.01, "explicit": 2e-4}
-# u, over all cases below: measured 1.2e-13, 1.4e-11 and 5.7e-12; the rest is room for other roundings near a touch-down.
+# u, over all cases below: measured 1.1e-13, 2.3e-12, 5.7e-12; the rest is room for other roundings near a touch-down.
 BOUND = {"impulse": 1e-9, "midpoint": 1e-9, "explicit": 1e-9}
-SINGLE_BOUND = {"impulse": 2e-4, "midpoint": 1e-2, "explicit": 2e-4}  # u: measured 2.0e-5, 1.7e-3, 3.2e-5
+SINGLE_BOUND = {"impulse": 2e-4, "midpoint": 1e-2, "explicit": 2e-4}  # u: measured 2.0e-5, 2.5e-3, 3.2e-5
 ALL = ws.Scene()
 
 CASES = {
@@ -95,7 +95,6 @@ def test_impulse_matches_the_twin_where_the_speed_cap_acts():
 def test_impulse_matches_the_twin_at_any_number_of_iterations(iterations):
     options = physics("impulse", iterations=iterations)
     _, gap = compare(random_body(16), random_behaviours(3, 2, 2), scene=ALL, physics=options)
-    print("GAP iterations", iterations, gap)
     assert gap < BOUND["impulse"]
 
 
@@ -103,7 +102,6 @@ def test_impulse_matches_the_twin_at_any_number_of_iterations(iterations):
 def test_midpoint_matches_the_twin_at_any_theta(theta):
     options = physics("midpoint", theta=theta)
     _, gap = compare(random_body(15), random_behaviours(4, 2, 2), scene=ALL, physics=options)
-    print("GAP theta", theta, gap)
     assert gap < BOUND["midpoint"]
 
 

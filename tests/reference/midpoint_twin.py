@@ -18,7 +18,7 @@ def simulate_one(body, behaviour, *, gravity, floor, gait, dt, steps, theta=0.55
     """Steps of `dt` s from the body's start; `gravity` is a vector (2,) in u/s2."""
     x, v = np.array(body.position, dtype=float), np.array(body.velocity, dtype=float)
     v[body.fixed] = 0
-    anchor, dashpots = x[:, 0].copy(), damping(body)
+    anchor, dashpots = np.full(len(x), np.nan), damping(body)
     free = np.repeat(~np.asarray(body.fixed), 2)
     trajectory = Trajectory()
     trajectory.keep(x, v)
@@ -64,8 +64,10 @@ def add_floor(body, middle, v, anchor, floor, h, theta, matrix, impulse) -> None
         depth = -middle[node, 1]
         normal = max(0.0, k * depth - c_n * v[node, 1]) if depth > 0 else 0.0
         if normal == 0:
-            anchor[node] = middle[node, 0]
+            anchor[node] = np.nan  # in the air
             continue
+        if np.isnan(anchor[node]):
+            anchor[node] = middle[node, 0]  # where the node first presses
         impulse[node, 1] += h * normal
         matrix[2 * node + 1, 2 * node + 1] += h / 2 * c_n + theta * h * h / 2 * k
         if mu == 0:

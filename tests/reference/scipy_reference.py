@@ -46,10 +46,10 @@ def normal_forces(body, x, v, floor) -> np.ndarray:
     return np.where(x[:, 1] < 0, force, 0.0)
 
 
-def small_motion(body, displacement: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Displacements (times, nodes, 2) of the springs linearised about the rest shape, by matrix exponentials.
+def linearised(body) -> np.ndarray:
+    """Matrix A of the small motions ``(x, v)' = A (x, v)`` about the shape in which all springs are at rest length.
 
-    The body's springs must be at rest length and its nodes free and at rest; `displacement` (nodes, 2) is the start.
+    All nodes must be free. Shape (4 nodes, 4 nodes): displacements of all nodes (x0, y0, x1, ...), then velocities.
     """
     n = 2 * len(body.mass)
     stiffness, dashpots = np.zeros((n, n)), np.zeros((n, n))
@@ -60,9 +60,29 @@ def small_motion(body, displacement: np.ndarray, times: np.ndarray) -> np.ndarra
         stiffness += k * np.outer(across, across)
         dashpots += c * np.outer(across, across)
     inverse = np.repeat(inverse_masses(body), 2)[:, None]
-    system = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * dashpots]])
-    start = np.concatenate([displacement.ravel(), np.zeros(n)])
-    return np.stack([(expm(t * system) @ start)[:n].reshape(-1, 2) for t in times])
+    return np.block([[np.zeros((n, n)), np.eye(n)], [-inverse * stiffness, -inverse * dashpots]])
+
+
+def small_motion(body, displacement: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Displacements (times, nodes, 2) by matrix exponentials, from rest at `displacement` (nodes, 2)."""
+    system = linearised(body)
+    start = np.concatenate([displacement.ravel(), np.zeros(displacement.size)])
+    return np.stack([(expm(t * system) @ start)[: displacement.size].reshape(-1, 2) for t in times])
+
+
+def longest_rk4_step(rates: np.ndarray) -> float:
+    """Longest step h with ``|1 + z + z^2/2 + z^3/6 + z^4/24| <= 1`` at z = h * rate of every mode (s)."""
+    rates = rates[np.abs(rates) > 1e-6 * np.abs(rates).max()]  # rigid motions are 0 but for rounding
+
+    def stable(h: float) -> bool:
+        z = h * rates
+        return bool(np.all(np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))) <= 1 + 1e-9))
+
+    low, high = 0.0, 3 / np.abs(rates).max()  # beyond 3 no mode is stable
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
 
 
 def damped_oscillator(stretch: float, omega: float, damping_ratio: float, times: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import IO, Any
 
 import click
@@ -34,6 +35,8 @@ class LazyGroup(click.Group):
         """Run a command."""
         try:
             return super().invoke(ctx)
+        except (click.ClickException, click.exceptions.Exit, click.Abort):
+            raise
         except KeyboardInterrupt:
             ctx.exit(INTERRUPTED)
         except Exception as error:
@@ -44,17 +47,19 @@ class LazyGroup(click.Group):
 
 def _in_one_sentence(error: Exception) -> click.ClickException | None:
     """What a mistake of the user, or a full disk, is told as; other errors are ours and have a traceback."""
-    from wobblesim.config import ConfigError
-
-    if isinstance(error, ConfigError):
-        return _Refusal(error.report())
-    # Only a command that imported these modules can have raised their errors.
-    plan, store = (importlib.import_module(f"wobblesim.study.{name}") for name in ("plan", "store"))
-    if isinstance(error, store.WriteError):
+    if _is(error, "config.errors", "ConfigError"):
+        return _Refusal(error.report())  # type: ignore[attr-defined]
+    if _is(error, "study.store", "WriteError"):
         return _NotWritten(str(error))
-    if isinstance(error, plan.PlanError | store.StoreError):
+    if _is(error, "study.store", "StoreError") or _is(error, "study.plan", "PlanError"):
         return _Refusal(str(error))
     return None
+
+
+def _is(error: Exception, module: str, name: str) -> bool:
+    """Whether an error is of a class of the package, without importing it: who raised it has."""
+    home = sys.modules.get(f"wobblesim.{module}")
+    return home is not None and isinstance(error, getattr(home, name))
 
 
 class _Refusal(click.ClickException):

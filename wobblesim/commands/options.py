@@ -60,7 +60,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | No
     from rich import box
     from rich.table import Table
 
-    made = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False)
+    made = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False, padding=(0, 1, 0, 0))
     for place, name in enumerate(columns):
         made.add_column(name, justify="right" if place else "left", no_wrap=place == 0)
     for row in rows:
@@ -77,7 +77,9 @@ def print_table(made: Table) -> None:
         console = Console(highlight=False, width=PLAIN_WIDTH)
     with console.capture() as captured:
         console.print(made)
-    click.echo("\n".join(line.rstrip() for line in captured.get().splitlines()))
+    # A no-break space has done its work once the lines are broken.
+    lines = captured.get().replace("\N{NO-BREAK SPACE}", " ").splitlines()
+    click.echo("\n".join(line.rstrip() for line in lines))
 
 
 def plural(count: int, noun: str) -> str:

@@ -99,7 +99,8 @@ def _promise_to_stop(shown: Display) -> None:
 
 def _same_command(ctx: click.Context) -> str:
     """The command line that was given, as it can be typed again."""
-    words = [ctx.command_path]
+    root = ctx.find_root().info_name or ""
+    words = [f"python {root}" if root.endswith(".py") else root, ctx.info_name or ""]
     for option in ctx.command.params:
         value = ctx.params.get(option.name or "")
         given = option.opts[-1] if isinstance(option, click.Option) else None
@@ -138,13 +139,25 @@ TOLD = ("wanted", "present", "done", "failed", "stopped", "seconds")
 
 
 def draw(folder: Path, path: Path | None = None) -> Path:
-    """Draw the learning curves of the results in a folder; return the path of the picture."""
+    """Draw the learning curves of the results in a folder; return the path of the picture.
+
+    Raises
+    ------
+    WriteError
+        If the picture cannot be written.
+    """
     from wobblesim.analysis.figures.learning import learning_curves, save
     from wobblesim.analysis.tables import load
+    from wobblesim.study.store import WriteError
 
-    path = path or folder / FIGURE
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save(learning_curves(load(folder)), path)
+    figure, path = learning_curves(load(folder)), path or folder / FIGURE
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(figure, path)
+    except OSError as error:
+        raise WriteError(
+            f"cannot write {path}: {(error.strerror or str(error)).lower()}; the results are safe"
+        ) from error
     return path
 
 
@@ -156,8 +169,8 @@ def print_summary(found: pd.DataFrame, reference: str) -> None:
     ]  # fmt: skip
     made = table(columns, [_cells(row) for row in found.to_dict("records")])
     made.caption = (
-        "mean of the runs ± 99 % confidence; path: search distance before and after the end of the wobble;\n"
-        f"diverged, limited: trials; minus {reference}: mean difference of the runs with the same seed"
+        "± 99 % confidence of the mean; path: search distance before and after the end of the wobble;\n"
+        f"diverged, limited: trials; minus {reference}: mean difference of runs with the same seed"
     )
     made.caption_justify = "left"
     print_table(made)
@@ -170,20 +183,21 @@ def _cells(row: dict[str, Any]) -> list[str]:
         f"{row['runs']}{excluded}",
         _interval(row["mean"], row["half_width"]),
         _number(row["median"]),
-        _interval(row["path_before"], row["path_before_half_width"]),
-        _interval(row["path_after"], row["path_after_half_width"]),
+        _interval(row["path_before"], row["path_before_half_width"], digits=2),
+        _interval(row["path_after"], row["path_after_half_width"], digits=2),
         f"{row['diverged']:,}",
         f"{row['limited']:,}",
         _interval(row["difference"], row["difference_half_width"], sign="+"),
     ]
 
 
-def _interval(mean: float, half_width: float, sign: str = "") -> str:
+def _interval(mean: float, half_width: float, sign: str = "", digits: int = 3) -> str:
     """Mean ± half width; without the latter if there is none, a dash if there is neither."""
     if mean != mean:
         return "–"
-    width = f" ± {half_width:.3f}" if half_width == half_width else ""
-    return f"{mean:{sign}.3f}{width}"
+    # The no-break space keeps ± with its number in a narrow terminal.
+    width = f" ±\N{NO-BREAK SPACE}{half_width:.{digits}f}" if half_width == half_width else ""
+    return f"{mean:{sign}.{digits}f}{width}"
 
 
 def _number(value: float) -> str:

@@ -258,7 +258,7 @@ class PhysicsSettings(Section):
         default="float32", description="Floating-point type of the simulation."
     )
     iterations: Whole = number(5, "Solver iterations a step, for impulse only", ge=1, le=1000)
-    theta: Real = number(0.55, "Implicitness, for midpoint only", ge=0.55, le=1)
+    theta: Real = number(0.7, "Weight of the new position in the springs' forces, for midpoint only", ge=0.5, le=1)
     max_speed: Real = number(1e4, "Speed beyond which a trial counts as diverged", "u/s", gt=0, le=1e9)
 
 

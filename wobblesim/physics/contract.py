@@ -31,7 +31,10 @@ CLOSEST = 1e-30
 
 
 class State(NamedTuple):
-    """What evolves, in the integrator's node order; each ``(n_nodes, width)``. Written in place by a step."""
+    """What evolves, in the integrator's node order; each ``(n_nodes, width)``. Written in place by a step.
+
+    Positions may be kept ahead of time, at x + `Method.ahead` v.
+    """
 
     x: Array
     y: Array
@@ -124,6 +127,8 @@ class Method:
         Constants of the contact law; None is compiled to nothing.
     node_order : (n_nodes,) int
         Node of each row of the state.
+    ahead : float
+        How far ahead of time the state's positions are kept, s.
     workspace : callable
         ``workspace(state) -> NamedTuple`` of rows for one block of lanes, ready for the first step.
     """
@@ -132,6 +137,7 @@ class Method:
     floor: Any
     friction: Array | None
     node_order: Array
+    ahead: float
     workspace: Callable[[State], Any]
 
 

@@ -80,7 +80,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
         anchor[:] = state.x
         return Work(at=stage, sum=total, ax=rows(n, tag), ay=rows(n, tag), anchor=anchor)
 
-    return Method(constants, floor, friction, np.arange(system.n_nodes), workspace)
+    return Method(constants, floor, friction, np.arange(system.n_nodes), 0.0, workspace)
 
 
 INTEGRATOR = Integrator("explicit", 4, "compliant", False, 1, prepare)

@@ -47,7 +47,7 @@ class Impulse(NamedTuple):
     gamma: Array  # (n_springs,): 1/(h (c + h k))
     mass: Array  # (n_springs,): M = 1/(1/m_a + 1/m_b + gamma)
     closest: Any  # u
-    longest_move: Any  # u
+    top_speed: Any  # u/s: the longest move in one step
     half_friction_speed: Any  # u/s
 
 
@@ -84,7 +84,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
         h=real(h), iterations=physics.iterations, gravity_x=real(h * gx), gravity_y=real(h * gy),
         inverse_mass=system.inverse_mass.astype(tag.dtype), a=a, b=b, rest_row=system.rest_row[order],
         gain=(h * k * gamma).astype(tag.dtype), gamma=gamma.astype(tag.dtype), mass=mass.astype(tag.dtype),
-        closest=real(CLOSEST), longest_move=real(LONGEST_MOVE), half_friction_speed=real(HALF_FRICTION_SPEED),
+        closest=real(CLOSEST), top_speed=real(LONGEST_MOVE / h), half_friction_speed=real(HALF_FRICTION_SPEED),
     )  # fmt: skip
     floor = system.floor
     rigid = floor and RigidFloor(real(floor.restitution), real(floor.restitution_threshold))
@@ -97,7 +97,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
             q_n=rows(n, tag), q_t=rows(n, tag), rebound=rows(n, tag), touching=np.zeros(n, np.int64),
         )  # fmt: skip
 
-    return Method(constants, rigid, friction, np.arange(system.n_nodes), workspace)
+    return Method(constants, rigid, friction, np.arange(system.n_nodes), 0.0, workspace)
 
 
 INTEGRATOR = Integrator("impulse", 1, "rigid", True, 2, prepare)
@@ -125,13 +125,18 @@ def _fall(tag, constants, state):
 
 
 @inlined
-def _apply(tag, constants, state, a, b, px, py):
-    """Give the impulse (px, py) to node b and its opposite to node a."""
+def _apply(tag, constants, state, a, b, p, ux, uy):
+    """Give the impulse p u to node b and its opposite to node a."""
     ia, ib = constants.inverse_mass[a], constants.inverse_mass[b]
-    store(tag, state.vx, a, load(tag, state.vx, a) - px * ia)
-    store(tag, state.vy, a, load(tag, state.vy, a) - py * ia)
-    store(tag, state.vx, b, load(tag, state.vx, b) + px * ib)
-    store(tag, state.vy, b, load(tag, state.vy, b) + py * ib)
+    dv = p * ia
+    dvx, dvy = dv * ux, dv * uy
+    store(tag, state.vx, a, load(tag, state.vx, a) - dvx)
+    store(tag, state.vy, a, load(tag, state.vy, a) - dvy)
+    if ia != ib:  # equal masses change their velocities alike
+        dv = p * ib
+        dvx, dvy = dv * ux, dv * uy
+    store(tag, state.vx, b, load(tag, state.vx, b) + dvx)
+    store(tag, state.vy, b, load(tag, state.vy, b) + dvy)
 
 
 @kernel
@@ -148,7 +153,7 @@ def _warm_start(tag, constants, state, rest, work):
         store(tag, work.uy, s, uy)
         store(tag, work.beta, s, (d - load(tag, rest, constants.rest_row[s])) * constants.gain[s])
         p = load(tag, work.impulse, s)
-        _apply(tag, constants, state, a, b, p * ux, p * uy)
+        _apply(tag, constants, state, a, b, p, ux, uy)
 
 
 @kernel
@@ -205,19 +210,19 @@ def _pull_springs(tag, constants, state, work):
         # what does not wait for the velocities stands in brackets of its own
         dp = -constants.mass[s] * (rate + (load(tag, work.beta, s) + constants.gamma[s] * p))
         store(tag, work.impulse, s, p + dp)
-        _apply(tag, constants, state, a, b, dp * ux, dp * uy)
+        _apply(tag, constants, state, a, b, dp, ux, uy)
 
 
 @kernel
 def _move(tag, constants, state, limited):
-    """X += h v, no further than the longest move; a cut move cuts the velocity and is counted."""
+    """Move by h v, no further than the longest move; a cut move cuts the velocity and is counted."""
     cut = load(tag, limited, 0)
     for i in range(len(constants.inverse_mass)):
         vx, vy = load(tag, state.vx, i), load(tag, state.vy, i)
-        move = constants.h * square_root(vx * vx + vy * vy)
-        far = move > constants.longest_move
+        squared = vx * vx + vy * vy
+        far = squared > constants.top_speed * constants.top_speed
         if any_lane(far):
-            scale = select(far, constants.longest_move / move, 1.0)
+            scale = select(far, constants.top_speed / square_root(squared), 1.0)
             vx, vy = vx * scale, vy * scale
             store(tag, state.vx, i, vx)
             store(tag, state.vy, i, vy)

@@ -9,6 +9,9 @@ With weight 1/2 on the dashpots the method is of order 2 with damping too; theta
 stiffest modes away from ringing at -1 and costs no order, for its term is h² smaller. Impulses act along u between
 points at x_m, so linear and angular momentum are kept to rounding.
 
+Written for x_m, the step x += h (v + dv/2), v += dv becomes v += dv, x_m += h v: the state keeps x_m, half a step
+ahead, and x need not be kept at all.
+
 The system is factorised as block LDLᵀ, 2x2 blocks a node, in the elimination order of `ordering.eliminate`; nodes
 are numbered in that order here.
 """
@@ -36,12 +39,13 @@ from wobblesim.physics.lanes import LanesTag, any_lane, larger, load, select, sp
 from wobblesim.physics.ordering import Elimination, eliminate
 from wobblesim.physics.scene import Physics
 
+IN_THE_AIR = np.inf  # anchor of a node that does not press the floor
+
 
 class Midpoint(NamedTuple):
     """Constants; nodes in elimination order, springs in the order of their blocks."""
 
     h: Any
-    half: Any  # 1/2
     half_h: Any
     theta_h: Any  # theta h²/2
     closest: Any
@@ -63,12 +67,11 @@ class Midpoint(NamedTuple):
 class Work(NamedTuple):
     """Rows of one block of lanes."""
 
-    xm: Array  # (n_nodes, width): midpoint prediction
-    ym: Array
     diagonal: Array  # (3 n_nodes, width): xx, xy, yy of each diagonal block; later of its inverse
     rhs: Array  # (2 n_nodes, width): h F; later dv
     block: Array  # (4 n_blocks, width): xx, xy, yx, yy of each block; later of the factor
-    anchor: Array  # (n_nodes, width): where a node touched the floor
+    anchor: Array  # (n_nodes, width): where a node first pressed the floor, or IN_THE_AIR
+    touched: Array  # (n_nodes,) int: whether some lane was at the floor in the step before
 
 
 def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
@@ -82,7 +85,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
     free = system.inverse_mass[order] > 0
     gx, gy = system.gravity
     constants = Midpoint(
-        h=real(h), half=real(0.5), half_h=real(0.5 * h), theta_h=real(0.5 * physics.theta * h * h),
+        h=real(h), half_h=real(0.5 * h), theta_h=real(0.5 * physics.theta * h * h),
         closest=real(CLOSEST),
         free=free.astype(tag.dtype), mass=mass.astype(tag.dtype),
         weight_x=(h * gx * mass).astype(tag.dtype), weight_y=(h * gy * mass).astype(tag.dtype),
@@ -96,11 +99,10 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
 
     def workspace(state: State) -> Work:
         n = system.n_nodes
-        work = Work(*(rows(r, tag) for r in (n, n, 3 * n, 2 * n, 4 * plan.n_blocks, n)))
-        work.anchor[:] = state.x
-        return work
+        blocks = rows(4 * plan.n_blocks, tag)
+        return Work(rows(3 * n, tag), rows(2 * n, tag), blocks, rows(n, tag), np.zeros(n, np.int64))
 
-    return Method(constants, floor, friction, order, workspace)
+    return Method(constants, floor, friction, order, 0.5 * h, workspace)
 
 
 def _springs_by_block(system: System, plan: Elimination) -> tuple[Array, Array]:
@@ -121,57 +123,55 @@ INTEGRATOR = Integrator("midpoint", 2, "compliant", True, 1, prepare)
 @step_of(Midpoint)
 def _step(tag, constants, floor, friction, muscles, state, rest, limited, work, n):
     set_rest_lengths(tag, muscles, rest, 2 * n + 1)
-    _predict(tag, constants, floor, friction, state, work)
+    _begin(tag, constants, floor, friction, state, work)
     _assemble(tag, constants, state, rest, work)
     _factorise(tag, constants, work)
     _solve_and_move(tag, constants, state, work)
 
 
 @kernel
-def _predict(tag, constants, floor, friction, state, work):
-    """x_m = x + h/2 v; start matrix and right-hand side with mass, weight and the floor."""
+def _begin(tag, constants, floor, friction, state, work):
+    """Start matrix and right-hand side with mass, weight and the floor."""
     for p in range(len(constants.mass)):
-        vx, vy = load(tag, state.vx, p), load(tag, state.vy, p)
-        xm = load(tag, state.x, p) + constants.half_h * vx
-        ym = load(tag, state.y, p) + constants.half_h * vy
-        store(tag, work.xm, p, xm)
-        store(tag, work.ym, p, ym)
         store(tag, work.rhs, 2 * p, splat(tag, constants.weight_x[p]))
         store(tag, work.rhs, 2 * p + 1, splat(tag, constants.weight_y[p]))
         store(tag, work.diagonal, 3 * p, splat(tag, constants.mass[p]))
         store(tag, work.diagonal, 3 * p + 1, splat(tag, 0.0))
         store(tag, work.diagonal, 3 * p + 2, splat(tag, constants.mass[p]))
         if floor is not None:
-            _press(tag, constants, floor, friction, work, p, xm, ym, vx, vy)
+            _press(tag, constants, floor, friction, state, work, p)
 
 
 @inlined
-def _press(tag, constants, floor, friction, work, p, xm, ym, vx, vy):
+def _press(tag, constants, floor, friction, state, work, p):
     """The floor under node p: forces, and what they change with dv, on the diagonal."""
-    if any_lane(ym < 0.0):
-        f_n = normal_force(floor, p, ym, vy)
+    y = load(tag, state.y, p)
+    touches = any_lane(y < 0.0)
+    if touches:
+        f_n = normal_force(floor, p, y, load(tag, state.vy, p))
         s_n = constants.half_h * floor.c_n[p] + constants.theta_h * floor.k
         rhs, diagonal = load(tag, work.rhs, 2 * p + 1), load(tag, work.diagonal, 3 * p + 2)
         store(tag, work.rhs, 2 * p + 1, rhs + constants.h * f_n)
         store(tag, work.diagonal, 3 * p + 2, diagonal + select(f_n > 0.0, s_n, splat(tag, 0.0)))
         if friction is not None:
-            limit = friction[p] * f_n
-            f_t, slips, anchor = tangential_force(floor, p, xm, vx, load(tag, work.anchor, p), limit)
+            x, vx, limit = load(tag, state.x, p), load(tag, state.vx, p), friction[p] * f_n
+            anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
+            anchor = select(anchor < IN_THE_AIR, anchor, x)  # set where the node first presses
+            f_t, slips, anchor = tangential_force(floor, p, x, vx, anchor, limit)
             s_t = constants.half_h * floor.c_t[p] + constants.theta_h * floor.k
             sticks = (limit > 0.0) & ~slips
             rhs, diagonal = load(tag, work.rhs, 2 * p), load(tag, work.diagonal, 3 * p)
             store(tag, work.rhs, 2 * p, rhs + constants.h * f_t)
             store(tag, work.diagonal, 3 * p, diagonal + select(sticks, s_t, splat(tag, 0.0)))
-            store(tag, work.anchor, p, anchor)
-    elif friction is not None:
-        store(tag, work.anchor, p, xm)
+            store(tag, work.anchor, p, select(limit > 0.0, anchor, IN_THE_AIR))
+    work.touched[p] = touches
 
 
 @kernel
 def _assemble(tag, constants, state, rest, work):
     """Add every spring's force and stiffness at the midpoint; p is the end that is eliminated first."""
     for p in range(len(constants.mass)):
-        xp, yp = load(tag, work.xm, p), load(tag, work.ym, p)
+        xp, yp = load(tag, state.x, p), load(tag, state.y, p)
         vxp, vyp = load(tag, state.vx, p), load(tag, state.vy, p)
         fxp, fyp = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
         xxp, xyp = load(tag, work.diagonal, 3 * p), load(tag, work.diagonal, 3 * p + 1)
@@ -181,7 +181,7 @@ def _assemble(tag, constants, state, rest, work):
             xx, xy, yy = splat(tag, 0.0), splat(tag, 0.0), splat(tag, 0.0)
             fx, fy = splat(tag, 0.0), splat(tag, 0.0)
             for i in range(constants.spring_first[e], constants.spring_first[e + 1]):
-                dx, dy = load(tag, work.xm, q) - xp, load(tag, work.ym, q) - yp
+                dx, dy = load(tag, state.x, q) - xp, load(tag, state.y, q) - yp
                 d = square_root(dx * dx + dy * dy)
                 inverse = 1.0 / larger(d, splat(tag, constants.closest))
                 ux, uy = dx * inverse, dy * inverse
@@ -256,7 +256,7 @@ def _factorise(tag, constants, work):
 
 @kernel
 def _solve_and_move(tag, constants, state, work):
-    """Substitute back, dv_p = z - sum_e L_eᵀ dv_e, and move: x += h (v + dv/2), v += dv."""
+    """Substitute back, dv_p = z - sum_e L_eᵀ dv_e, and move: v += dv, x_m += h v."""
     for j in range(len(constants.mass)):
         p = len(constants.mass) - 1 - j
         dvx, dvy = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
@@ -267,8 +267,8 @@ def _solve_and_move(tag, constants, state, work):
             dvy = dvy - (load(tag, work.block, 4 * e + 1) * qx + load(tag, work.block, 4 * e + 3) * qy)
         store(tag, work.rhs, 2 * p, dvx)
         store(tag, work.rhs, 2 * p + 1, dvy)
-        vx, vy = load(tag, state.vx, p), load(tag, state.vy, p)
-        store(tag, state.x, p, load(tag, state.x, p) + constants.h * (vx + constants.half * dvx))
-        store(tag, state.y, p, load(tag, state.y, p) + constants.h * (vy + constants.half * dvy))
-        store(tag, state.vx, p, vx + dvx)
-        store(tag, state.vy, p, vy + dvy)
+        vx, vy = load(tag, state.vx, p) + dvx, load(tag, state.vy, p) + dvy
+        store(tag, state.vx, p, vx)
+        store(tag, state.vy, p, vy)
+        store(tag, state.x, p, load(tag, state.x, p) + constants.h * vx)
+        store(tag, state.y, p, load(tag, state.y, p) + constants.h * vy)

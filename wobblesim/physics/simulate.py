@@ -192,9 +192,11 @@ def _run_block(
         frames = rows((n_steps // record_every + 1) * 2 * system.n_nodes, tag)
     watch = rows(2, tag)
     watch[1] = -1.0
+    muscles, work = _muscles(system, signals, ticks, tag), method.workspace(state)
+    ahead, max_speed = tag.dtype.type(method.ahead), tag.dtype.type(physics.max_speed)
     advance(
-        tag, method.constants, method.floor, method.friction, _muscles(system, signals, ticks, tag), state, rest,
-        method.workspace(state), watch, frames, record_every or 1, n_steps, tag.dtype.type(physics.max_speed),
+        tag, method.constants, method.floor, method.friction, muscles, state, rest, work, watch, frames,
+        record_every or 1, n_steps, ahead, max_speed,
     )  # fmt: skip
     return _Outcome(state, watch, frames)
 
@@ -211,7 +213,7 @@ def _muscles(system: System, signals: tuple[Any, Any], ticks: NDArray[Any], tag:
 
 @kernel
 def advance(
-    tag, constants, floor, friction, muscles, state, rest, work, watch, frames, record_every, n_steps, max_speed
+    tag, constants, floor, friction, muscles, state, rest, work, watch, frames, record_every, n_steps, ahead, max_speed
 ):
     """Run one block of lanes through all steps.
 
@@ -219,22 +221,34 @@ def advance(
     was found diverged (-1: never); ``frames (n_frames 2 n_nodes, width)``: x and y of each node, or None.
     """
     if frames is not None:
-        _record(tag, state, frames, 0)
+        _record(tag, state, 0.0 * ahead, frames, 0)
+    _drift(tag, state, ahead)
     for n in range(n_steps):
         step(tag, constants, floor, friction, muscles, state, rest, watch, work, n)
         if frames is not None and (n + 1) % record_every == 0:
-            _record(tag, state, frames, (n + 1) // record_every)
+            _record(tag, state, ahead, frames, (n + 1) // record_every)
         look = (n + 1) % WATCH_EVERY == 0 or n + 1 == n_steps
         if look and _all_diverged(tag, state, watch, n + 1, max_speed):
             break
+    _drift(tag, state, -ahead)
 
 
 @kernel
-def _record(tag, state, frames, frame):
+def _drift(tag, state, time):
+    """Move every node with its velocity for a time."""
+    for i in range(len(state.x)):
+        store(tag, state.x, i, load(tag, state.x, i) + time * load(tag, state.vx, i))
+        store(tag, state.y, i, load(tag, state.y, i) + time * load(tag, state.vy, i))
+
+
+@kernel
+def _record(tag, state, ahead, frames, frame):
+    """Write a frame of positions, taken back from where the integrator keeps them ahead."""
     n_nodes = len(state.x)
     for i in range(n_nodes):
-        store(tag, frames, 2 * (frame * n_nodes + i), load(tag, state.x, i))
-        store(tag, frames, 2 * (frame * n_nodes + i) + 1, load(tag, state.y, i))
+        row = 2 * (frame * n_nodes + i)
+        store(tag, frames, row, load(tag, state.x, i) - ahead * load(tag, state.vx, i))
+        store(tag, frames, row + 1, load(tag, state.y, i) - ahead * load(tag, state.vy, i))
 
 
 @kernel

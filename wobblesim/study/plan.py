@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,7 @@ def setup(parameters: settings.Parameters) -> Setup:
     )
 
 
+@lru_cache(maxsize=64)  # most conditions of a study share their robot, and a body never changes
 def body(robot: settings.StarfishRobot | settings.CustomRobot) -> Body:
     """Build the adult robot."""
     if isinstance(robot, settings.CustomRobot):

@@ -129,7 +129,8 @@ def load(folder: Path, group: Group) -> Checkpoint | None:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path, allow_pickle=False) as archive:
+    # NumPy leaves a file open that is no archive, if it has opened it itself.
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         return dict(archive)
 
 
@@ -169,7 +170,7 @@ class Head:
 def _head(place: Path) -> Head | None:
     """The head of a checkpoint; None if it cannot be read."""
     try:
-        with np.load(place / "state.npz", allow_pickle=False) as archive:
+        with (place / "state.npz").open("rb") as file, np.load(file, allow_pickle=False) as archive:
             group = Group(str(archive["condition"]), tuple(archive["seeds"].tolist()))
             return Head(group, str(archive["identity"]), int(archive[f"{LEARNER}epoch"]))
     except UNREADABLE:

@@ -1,0 +1,1 @@
+"""Looking at it: players, animations and reports."""
