@@ -66,7 +66,7 @@ def robot_path(tangent):
     body = ws.starfish(arms=3, sections=2, damping_ratio=10.0)
     physics = ws.Physics(dt=0.01, precision="float64")
     scene = ws.Scene(gravity=incline(tangent))
-    trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=60.0, record_every=100)
+    trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=120.0, record_every=100)
     return trials.positions[:, :, 0, 0].mean(axis=1)
 
 

@@ -15,7 +15,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     PlainSerializer,
     StrictBool,
@@ -48,16 +47,14 @@ MAX_STEPS = 100_000_000
 Dimension = Literal["mass", "stiffness", "size", "gravity"]
 
 
-class Section(BaseModel):
+class Section(BaseModel, frozen=True, extra="forbid", validate_default=False):
     """Base of all sections: frozen, no unknown keys, defaults described from the attributes."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=False)
 
 
 # --- robot ---------------------------------------------------------------------------------------------------------
 
 
-class StarfishStiffness(Section):
+class StarfishStiffness(Section, frozen=True):
     """Spring constants of the starfish robot."""
 
     diagonal: Real = number(100_000.0, "Stiffness of the two diagonals of a section", "mass unit/s²", gt=0, le=1e9)
@@ -67,7 +64,7 @@ class StarfishStiffness(Section):
     tip: Real = number(500_000.0, "Stiffness of the two springs of a tip", "mass unit/s²", gt=0, le=1e9)
 
 
-class StarfishRobot(Section):
+class StarfishRobot(Section, frozen=True):
     """The paper's robot: arms of sections around a regular polygon."""
 
     kind: Literal["starfish"] = Field(description="The paper's robot, built from the numbers below.")
@@ -107,7 +104,7 @@ class StarfishRobot(Section):
         return self
 
 
-class Node(Section):
+class Node(Section, frozen=True):
     """A point mass of a custom robot."""
 
     position: Vector = text(..., "Initial place [x, y] in u, y up from the floor", "two numbers [x, y] in u")
@@ -117,7 +114,7 @@ class Node(Section):
     velocity: Vector = text((0.0, 0.0), "Initial velocity [vx, vy] in u/s", "two numbers [vx, vy] in u/s")
 
 
-class Spring(Section):
+class Spring(Section, frozen=True):
     """A damped spring between two nodes of a custom robot."""
 
     between: tuple[Whole, Whole] = text(..., "The two nodes joined", "two node numbers [a, b], the first node is 0")
@@ -126,7 +123,7 @@ class Spring(Section):
     rest_length: Real | None = number(None, "Rest length, null: the length as built", "u", gt=0, le=1e6)
 
 
-class Muscle(Section):
+class Muscle(Section, frozen=True):
     """A spring whose rest length follows the signal of a motor group: L (1 + sign alpha)."""
 
     spring: Whole = number(..., "Number of the spring, the first is 0", ge=0, le=19_999)
@@ -141,7 +138,7 @@ class Muscle(Section):
         return sign
 
 
-class CustomRobot(Section):
+class CustomRobot(Section, frozen=True):
     """Any robot made of nodes, springs and muscles."""
 
     kind: Literal["custom"] = Field(description="A robot given node by node and spring by spring.")
@@ -209,12 +206,12 @@ Robot = Annotated[StarfishRobot | CustomRobot, Field(discriminator="kind")]
 # --- world and trial -----------------------------------------------------------------------------------------------
 
 
-class FloorSettings(Section):
+class FloorSettings(Section, frozen=True):
     """The floor at y = 0."""
 
     restitution: Real = number(0.5, "Share of the normal speed kept at a rebound", ge=0, le=1)
     restitution_threshold: Real = number(1.0, "Speed below which a node does not rebound", "u/s", ge=0, le=1e6)
-    stiffness: Real = number(20_000.0, "Stiffness of a contact", "mass unit/s²", gt=0, le=1e9)
+    stiffness: Real = number(20_000.0, "Stiffness of a contact, per unit of node mass", "1/s²", gt=0, le=1e9)
 
 
 GRAVITY_RULE = "one number (downward) or [gx, gy], each from -10,000 to 10,000 u/s²"
@@ -235,7 +232,7 @@ def _acceleration(value: Any) -> float:
     return float(value)
 
 
-class SceneSettings(Section):
+class SceneSettings(Section, frozen=True):
     """The world around the robot."""
 
     gravity: Annotated[float | Vector, BeforeValidator(_gravity, json_schema_input_type=float | Vector)] = text(
@@ -246,7 +243,7 @@ class SceneSettings(Section):
     )
 
 
-class PhysicsSettings(Section):
+class PhysicsSettings(Section, frozen=True):
     """How the motion is computed."""
 
     integrator: Literal["midpoint", "impulse", "explicit"] = Field(
@@ -258,11 +255,11 @@ class PhysicsSettings(Section):
         default="float32", description="Floating-point type of the simulation."
     )
     iterations: Whole = number(5, "Solver iterations a step, for impulse only", ge=1, le=1000)
-    theta: Real = number(0.7, "Weight of the new position in the springs' forces, for midpoint only", ge=0.5, le=1)
+    theta: Real = number(0.6, "Weight of the new position in the springs' forces, for midpoint only", ge=0.5, le=1)
     max_speed: Real = number(1e4, "Speed beyond which a trial counts as diverged", "u/s", gt=0, le=1e9)
 
 
-class TrialSettings(Section):
+class TrialSettings(Section, frozen=True):
     """One trial of one behaviour."""
 
     duration: Real = number(60.0, "Simulated time of a trial", "s", gt=0, le=86_400)
@@ -275,7 +272,7 @@ class TrialSettings(Section):
 # --- learning ------------------------------------------------------------------------------------------------------
 
 
-class LearningSettings(Section):
+class LearningSettings(Section, frozen=True):
     """Trial and error: keep the best behaviours, perturb them, try again."""
 
     epochs: Whole = number(4000, "Epochs of a run", ge=1, le=1_000_000)
@@ -317,7 +314,7 @@ Dimensions = Annotated[
 ]
 
 
-class WobbleSettings(Section):
+class WobbleSettings(Section, frozen=True):
     """How the morphology oscillates: factor(epoch) = mean + amplitude sin(2 pi epoch / period)."""
 
     dimension: Dimensions = text(
@@ -366,7 +363,7 @@ class WobbleSettings(Section):
 # --- a condition and a sweep ---------------------------------------------------------------------------------------
 
 
-class Parameters(Section):
+class Parameters(Section, frozen=True):
     """Everything that defines one condition: a sweep without its name, seeds and grid."""
 
     robot: Robot = Field(default=StarfishRobot(kind="starfish"), description="The robot.")
@@ -430,7 +427,7 @@ class Parameters(Section):
                 )
 
 
-class SweepConfig(Parameters):
+class SweepConfig(Parameters, frozen=True):
     """A whole study: the base parameters, the seeds, and the conditions to compare."""
 
     name: Name = text(..., "Name of the study; its results may lie in a folder of this name", NAME_RULE)

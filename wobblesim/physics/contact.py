@@ -1,11 +1,13 @@
 """Compliant contact with true sticking: the law of granular simulation (Cundall & Strack 1979).
 
-At penetration p a floor of stiffness k pushes back with ``f_n = max(0, k p - c_n v_y)`` (it never pulls) and holds
-the node to the anchor where it touched down with ``f_t = k (anchor - x) - c_t v_x``. Beyond Coulomb's limit
-``mu f_n`` the node slips and drags its anchor along.
+At penetration p a floor of stiffness k = m kappa pushes a node of mass m back with ``f_n = max(0, k p - c_n v_y)`` (it
+never pulls) and holds it to the anchor where it touched down with ``f_t = k (anchor - x) - c_t v_x``. Beyond Coulomb's
+limit ``mu f_n`` the node slips and drags its anchor along.
 
-A node of mass m at rest lies ``m g/k`` deep; below the friction angle it creeps by exactly nothing, displaced
-elastically by ``m g sin(angle)/k``; it rebounds with the floor's restitution in the limit of small steps.
+A node at rest lies ``g/kappa`` deep; below the friction angle it creeps by exactly nothing, displaced elastically by
+``g sin(angle)/kappa``; it rebounds with the floor's restitution in the limit of small steps. The stiffness goes with
+the mass so that a step resolves the impact of a light node as well as that of a heavy one, and a robot of twice the
+mass and stiffness moves alike.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ TANGENTIAL_DAMPING = 0.2
 class CompliantFloor(NamedTuple):
     """Constants of the law, rows in the integrator's node order."""
 
-    k: Any  # scalar
+    k: NDArray[Any]  # (n_nodes,)
     c_n: NDArray[Any]  # (n_nodes,)
     c_t: NDArray[Any]  # (n_nodes,)
 
@@ -68,10 +70,11 @@ def compliant_floor(floor: Floor, mass: NDArray[Any], dtype: Any, dt: float = 0.
     A step dt bounds the dashpots, for `midpoint` weighs them by 1/2: beyond ``2 m/dt`` a plastic impact would throw
     the node back, beyond ``m/dt`` a node that slips to a stop would be turned round. Without a step there is no bound.
     """
-    critical = 2.0 * np.sqrt(floor.stiffness * mass)
+    k = floor.stiffness * mass
+    critical = 2.0 * np.sqrt(k * mass)
     most = mass / dt if dt else np.inf
     return CompliantFloor(
-        k=dtype.type(floor.stiffness),
+        k=k.astype(dtype),
         c_n=np.minimum(damping_ratio_of(floor.restitution) * critical, 2.0 * most).astype(dtype),
         c_t=np.minimum(TANGENTIAL_DAMPING * critical, most).astype(dtype),
     )
@@ -80,7 +83,7 @@ def compliant_floor(floor: Floor, mass: NDArray[Any], dtype: Any, dt: float = 0.
 @inlined
 def normal_force(floor, i, y, vy):
     """Force of the floor on node i at height y, upwards; 0 where it does not press."""
-    force = -floor.k * y - floor.c_n[i] * vy
+    force = -floor.k[i] * y - floor.c_n[i] * vy
     return select((y < 0.0) & (force > 0.0), force, 0.0)
 
 
@@ -91,9 +94,9 @@ def tangential_force(floor, i, x, vx, anchor, limit):
     `limit` is mu times the normal force; a node that is not pressed (limit 0) takes its anchor along.
     """
     dashpot = floor.c_t[i] * vx
-    trial = floor.k * (anchor - x) - dashpot
+    trial = floor.k[i] * (anchor - x) - dashpot
     slips = abs(trial) > limit
     force = select(slips, select(trial > 0.0, limit, -limit), trial)
-    dragged = select(slips, x + (force + dashpot) / floor.k, anchor)
+    dragged = select(slips, x + (force + dashpot) / floor.k[i], anchor)
     pressed = limit > 0.0
     return select(pressed, force, 0.0), slips, select(pressed, dragged, x)

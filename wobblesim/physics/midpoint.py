@@ -149,7 +149,7 @@ def _press(tag, constants, floor, friction, state, work, p):
     touches = any_lane(y < 0.0)
     if touches:
         f_n = normal_force(floor, p, y, load(tag, state.vy, p))
-        s_n = constants.half_h * floor.c_n[p] + constants.theta_h * floor.k
+        s_n = constants.half_h * floor.c_n[p] + constants.theta_h * floor.k[p]
         rhs, diagonal = load(tag, work.rhs, 2 * p + 1), load(tag, work.diagonal, 3 * p + 2)
         store(tag, work.rhs, 2 * p + 1, rhs + constants.h * f_n)
         store(tag, work.diagonal, 3 * p + 2, diagonal + select(f_n > 0.0, s_n, splat(tag, 0.0)))
@@ -158,7 +158,7 @@ def _press(tag, constants, floor, friction, state, work, p):
             anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
             anchor = select(anchor < IN_THE_AIR, anchor, x)  # set where the node first presses
             f_t, slips, anchor = tangential_force(floor, p, x, vx, anchor, limit)
-            s_t = constants.half_h * floor.c_t[p] + constants.theta_h * floor.k
+            s_t = constants.half_h * floor.c_t[p] + constants.theta_h * floor.k[p]
             sticks = (limit > 0.0) & ~slips
             rhs, diagonal = load(tag, work.rhs, 2 * p), load(tag, work.diagonal, 3 * p)
             store(tag, work.rhs, 2 * p, rhs + constants.h * f_t)
