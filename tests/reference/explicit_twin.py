@@ -7,6 +7,7 @@ from reference.law import (
     TANGENTIAL_DAMPING_RATIO,
     Trajectory,
     contact_damping_ratio,
+    contact_stiffness,
     damping,
     direction,
     movable,
@@ -59,7 +60,7 @@ def acceleration(body, dashpots, x, v, rest, gravity, floor, anchor) -> np.ndarr
 
 def floor_force(body, node, x, v, anchor, floor) -> tuple[float, float, float]:
     """Normal and tangential force on a node, and where that leaves its anchor."""
-    m, mu, k = body.mass[node], body.friction[node], floor.stiffness
+    m, mu, k = body.mass[node], body.friction[node], contact_stiffness(body, node, floor)
     depth = -x[1]
     c_n = 2 * contact_damping_ratio(floor.restitution) * np.sqrt(k * m)
     normal = max(0.0, k * depth - c_n * v[1]) if depth > 0 else 0.0

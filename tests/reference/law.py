@@ -73,6 +73,11 @@ def direction(from_: np.ndarray, to: np.ndarray) -> tuple[np.ndarray, float]:
     return (difference / distance if distance > 0 else np.zeros(2)), distance
 
 
+def contact_stiffness(body, node, floor):
+    """Stiffness k = m * Floor.stiffness of the contact of a node (or of several)."""
+    return floor.stiffness * np.asarray(body.mass)[node]
+
+
 def rebound(damping_ratio: float) -> float:
     """Restitution of a tensionless linear spring-dashpot contact without gravity.
 

@@ -7,6 +7,7 @@ from reference.law import (
     TANGENTIAL_DAMPING_RATIO,
     Trajectory,
     contact_damping_ratio,
+    contact_stiffness,
     damping,
     direction,
     movable,
@@ -14,7 +15,7 @@ from reference.law import (
 )
 
 
-def simulate_one(body, behaviour, *, gravity, floor, gait, dt, steps, theta=0.55) -> Trajectory:
+def simulate_one(body, behaviour, *, gravity, floor, gait, dt, steps, theta=0.6) -> Trajectory:
     """Steps of `dt` s from the body's start; `gravity` is a vector (2,) in u/s2."""
     x, v = np.array(body.position, dtype=float), np.array(body.velocity, dtype=float)
     v[body.fixed] = 0
@@ -59,7 +60,7 @@ def add_floor(body, middle, v, anchor, floor, h, theta, matrix, impulse) -> None
     The dashpots are bounded, so that what a step takes from the velocity stays in proportion to it.
     """
     for node in np.flatnonzero(~np.asarray(body.fixed)):
-        m, mu, k = body.mass[node], body.friction[node], floor.stiffness
+        m, mu, k = body.mass[node], body.friction[node], contact_stiffness(body, node, floor)
         c_n = min(2 * contact_damping_ratio(floor.restitution) * np.sqrt(k * m), 2 * m / h)
         depth = -middle[node, 1]
         normal = max(0.0, k * depth - c_n * v[node, 1]) if depth > 0 else 0.0

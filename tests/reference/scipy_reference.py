@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from reference.law import contact_damping_ratio, damping, inverse_masses, rest_lengths
+from reference.law import contact_damping_ratio, contact_stiffness, damping, inverse_masses, rest_lengths
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -41,8 +41,9 @@ def solve(body, behaviour, *, gravity, gait, times, floor=None, method="DOP853",
 
 def normal_forces(body, x, v, floor) -> np.ndarray:
     """Compliant floor force on each node (nodes,)."""
-    dashpot = 2 * contact_damping_ratio(floor.restitution) * np.sqrt(floor.stiffness * np.asarray(body.mass))
-    force = np.maximum(0.0, -floor.stiffness * x[:, 1] - dashpot * v[:, 1])
+    k = contact_stiffness(body, slice(None), floor)
+    dashpot = 2 * contact_damping_ratio(floor.restitution) * np.sqrt(k * np.asarray(body.mass))
+    force = np.maximum(0.0, -k * x[:, 1] - dashpot * v[:, 1])
     return np.where(x[:, 1] < 0, force, 0.0)
 
 

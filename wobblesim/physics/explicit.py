@@ -34,7 +34,6 @@ class Explicit(NamedTuple):
     """Constants; nodes and springs in their own order."""
 
     h: Any
-    closest: Any
     weight: Array  # (4,): of each stage's slope, h/6, h/3, h/3, h/6
     ahead: Array  # (4,): from the start of the step to the next stage, h/2, h/2, h, 0
     stage: Array  # (4,) int: half steps from the start of the step
@@ -65,7 +64,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
     a, b = system.springs.T.copy()
     gx, gy = system.gravity
     constants = Explicit(
-        h=real(h), closest=real(CLOSEST), weight=(h * np.array([1, 2, 2, 1]) / 6).astype(tag.dtype),
+        h=real(h), weight=(h * np.array([1, 2, 2, 1]) / 6).astype(tag.dtype),
         ahead=(h * np.array([0.5, 0.5, 1.0, 0.0])).astype(tag.dtype), stage=np.array([0, 1, 1, 2]),
         inverse_mass=system.inverse_mass.astype(tag.dtype), gravity_x=real(gx), gravity_y=real(gy), a=a, b=b,
         k=system.k.astype(tag.dtype), c=system.c.astype(tag.dtype), rest_row=system.rest_row,
@@ -207,7 +206,7 @@ def _accelerate(tag, constants, floor, friction, rest, work):
         a, b = constants.a[s], constants.b[s]
         dx, dy = load(tag, at.x, b) - load(tag, at.x, a), load(tag, at.y, b) - load(tag, at.y, a)
         d = square_root(dx * dx + dy * dy)
-        inverse = 1.0 / larger(d, splat(tag, constants.closest))
+        inverse = 1.0 / larger(d, splat(tag, CLOSEST))
         ux, uy = dx * inverse, dy * inverse
         rate = ux * (load(tag, at.vx, b) - load(tag, at.vx, a)) + uy * (load(tag, at.vy, b) - load(tag, at.vy, a))
         f = constants.k[s] * (d - load(tag, rest, constants.rest_row[s])) + constants.c[s] * rate

@@ -46,7 +46,6 @@ class Impulse(NamedTuple):
     gain: Array  # (n_springs,): h k gamma, from stretch to beta
     gamma: Array  # (n_springs,): 1/(h (c + h k))
     mass: Array  # (n_springs,): M = 1/(1/m_a + 1/m_b + gamma)
-    closest: Any  # u
     top_speed: Any  # u/s: the longest move in one step
     half_friction_speed: Any  # u/s
 
@@ -84,7 +83,7 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
         h=real(h), iterations=physics.iterations, gravity_x=real(h * gx), gravity_y=real(h * gy),
         inverse_mass=system.inverse_mass.astype(tag.dtype), a=a, b=b, rest_row=system.rest_row[order],
         gain=(h * k * gamma).astype(tag.dtype), gamma=gamma.astype(tag.dtype), mass=mass.astype(tag.dtype),
-        closest=real(CLOSEST), top_speed=real(LONGEST_MOVE / h), half_friction_speed=real(HALF_FRICTION_SPEED),
+        top_speed=real(LONGEST_MOVE / h), half_friction_speed=real(HALF_FRICTION_SPEED),
     )  # fmt: skip
     floor = system.floor
     rigid = floor and RigidFloor(real(floor.restitution), real(floor.restitution_threshold))
@@ -147,7 +146,7 @@ def _warm_start(tag, constants, state, rest, work):
         dx = load(tag, state.x, b) - load(tag, state.x, a)
         dy = load(tag, state.y, b) - load(tag, state.y, a)
         d = square_root(dx * dx + dy * dy)
-        inverse = 1.0 / larger(d, splat(tag, constants.closest))
+        inverse = 1.0 / larger(d, splat(tag, CLOSEST))
         ux, uy = dx * inverse, dy * inverse
         store(tag, work.ux, s, ux)
         store(tag, work.uy, s, uy)

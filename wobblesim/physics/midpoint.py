@@ -48,17 +48,20 @@ class Midpoint(NamedTuple):
     h: Any
     half_h: Any
     theta_h: Any  # theta h²/2
-    closest: Any
     free: Array  # (n_nodes,): 1, or 0 for a fixed node
     mass: Array  # (n_nodes,)
     weight_x: Array  # (n_nodes,): h m g
     weight_y: Array
     first: Array  # (n_nodes + 1,) int: blocks of a node
     row: Array  # (n_blocks,) int: the later node of a block
-    spring_first: Array  # (n_blocks + 1,) int: springs of a block
+    spring_first: Array  # (n_nodes + 1,) int: springs from a node to later ones
+    other: Array  # (n_springs,) int: the later node of a spring
+    block: Array  # (n_springs,) int
+    shares: Array  # (n_springs,) bool: whether the spring before stands in the same block
+    filled: Array  # (fill,) int: blocks without a spring
     hk: Array  # (n_springs,): h k
     hc: Array  # (n_springs,): h c
-    s: Array  # (n_springs,): h c/2 + theta h²/2 k
+    minus_s: Array  # (n_springs,): -(h c/2 + theta h²/2 k)
     rest_row: Array  # (n_springs,) int
     target_first: Array  # (n_blocks,) int
     target: Array  # (n_updates,) int
@@ -79,19 +82,19 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
     real, h = tag.dtype.type, physics.dt
     plan = eliminate(system.springs, system.n_nodes)
     order = plan.order
-    springs, spring_first = _springs_by_block(system, plan)
+    springs, block = _springs_by_block(system, plan)
     k, c = system.k[springs], system.c[springs]
     mass = system.mass[order]
     free = system.inverse_mass[order] > 0
     gx, gy = system.gravity
     constants = Midpoint(
         h=real(h), half_h=real(0.5 * h), theta_h=real(0.5 * physics.theta * h * h),
-        closest=real(CLOSEST),
         free=free.astype(tag.dtype), mass=mass.astype(tag.dtype),
         weight_x=(h * gx * mass).astype(tag.dtype), weight_y=(h * gy * mass).astype(tag.dtype),
-        first=plan.first, row=plan.row, spring_first=spring_first,
+        first=plan.first, row=plan.row, spring_first=np.searchsorted(block, plan.first), other=plan.row[block],
+        block=block, shares=np.diff(block, prepend=-1) == 0, filled=np.setdiff1d(np.arange(plan.n_blocks), block),
         hk=(h * k).astype(tag.dtype), hc=(h * c).astype(tag.dtype),
-        s=(0.5 * h * c + 0.5 * physics.theta * h * h * k).astype(tag.dtype), rest_row=system.rest_row[springs],
+        minus_s=(-0.5 * h * (c + physics.theta * h * k)).astype(tag.dtype), rest_row=system.rest_row[springs],
         target_first=plan.target_first, target=plan.target,
     )  # fmt: skip
     floor = compliant_floor(system.floor, mass, tag.dtype, h) if system.floor else None
@@ -106,15 +109,15 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
 
 
 def _springs_by_block(system: System, plan: Elimination) -> tuple[Array, Array]:
-    """Springs sorted by the block they stand in, and the first spring of each block."""
+    """Springs sorted by the block they stand in, and those blocks."""
     place = np.empty(system.n_nodes, dtype=np.int64)
     place[plan.order] = np.arange(system.n_nodes)
-    ends = np.sort(place[system.springs], axis=1)
+    p, q = np.sort(place[system.springs], axis=1).T
     column = np.repeat(np.arange(system.n_nodes), np.diff(plan.first))
-    block = {pair: e for e, pair in enumerate(zip(column.tolist(), plan.row.tolist(), strict=True))}
-    of_spring = np.array([block[p, q] for p, q in ends.tolist()], dtype=np.int64)
-    springs = np.argsort(of_spring, kind="stable")
-    return springs, np.searchsorted(of_spring[springs], np.arange(plan.n_blocks + 1))
+    # blocks are numbered by column, then row: their places in this list are their numbers
+    block = np.searchsorted(column * system.n_nodes + plan.row, p * system.n_nodes + q)
+    springs = np.argsort(block, kind="stable")
+    return springs, block[springs]
 
 
 INTEGRATOR = Integrator("midpoint", 2, "compliant", True, 1, prepare)
@@ -170,38 +173,43 @@ def _press(tag, constants, floor, friction, state, work, p):
 @kernel
 def _assemble(tag, constants, state, rest, work):
     """Add every spring's force and stiffness at the midpoint; p is the end that is eliminated first."""
+    for e in constants.filled:
+        for row in range(4 * e, 4 * e + 4):
+            store(tag, work.block, row, splat(tag, 0.0))
     for p in range(len(constants.mass)):
         xp, yp = load(tag, state.x, p), load(tag, state.y, p)
         vxp, vyp = load(tag, state.vx, p), load(tag, state.vy, p)
         fxp, fyp = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
         xxp, xyp = load(tag, work.diagonal, 3 * p), load(tag, work.diagonal, 3 * p + 1)
         yyp = load(tag, work.diagonal, 3 * p + 2)
-        for e in range(constants.first[p], constants.first[p + 1]):
-            q = constants.row[e]
-            xx, xy, yy = splat(tag, 0.0), splat(tag, 0.0), splat(tag, 0.0)
-            fx, fy = splat(tag, 0.0), splat(tag, 0.0)
-            for i in range(constants.spring_first[e], constants.spring_first[e + 1]):
-                dx, dy = load(tag, state.x, q) - xp, load(tag, state.y, q) - yp
-                d = square_root(dx * dx + dy * dy)
-                inverse = 1.0 / larger(d, splat(tag, constants.closest))
-                ux, uy = dx * inverse, dy * inverse
-                rate = ux * (load(tag, state.vx, q) - vxp) + uy * (load(tag, state.vy, q) - vyp)
-                hf = constants.hk[i] * (d - load(tag, rest, constants.rest_row[i])) + constants.hc[i] * rate
-                sx, sy = constants.s[i] * ux, constants.s[i] * uy
-                xx, xy, yy = xx + sx * ux, xy + sx * uy, yy + sy * uy
-                fx, fy = fx + hf * ux, fy + hf * uy
+        for i in range(constants.spring_first[p], constants.spring_first[p + 1]):
+            q = constants.other[i]
+            dx, dy = load(tag, state.x, q) - xp, load(tag, state.y, q) - yp
+            d = square_root(dx * dx + dy * dy)
+            inverse = 1.0 / larger(d, splat(tag, CLOSEST))
+            ux, uy = dx * inverse, dy * inverse
+            rate = ux * (load(tag, state.vx, q) - vxp) + uy * (load(tag, state.vy, q) - vyp)
+            hf = constants.hk[i] * (d - load(tag, rest, constants.rest_row[i])) + constants.hc[i] * rate
             # the force pulls p towards q and q towards p
+            fx, fy = hf * ux, hf * uy
             fxp, fyp = fxp + fx, fyp + fy
-            xxp, xyp, yyp = xxp + xx, xyp + xy, yyp + yy
             store(tag, work.rhs, 2 * q, load(tag, work.rhs, 2 * q) - fx)
             store(tag, work.rhs, 2 * q + 1, load(tag, work.rhs, 2 * q + 1) - fy)
-            store(tag, work.diagonal, 3 * q, load(tag, work.diagonal, 3 * q) + xx)
-            store(tag, work.diagonal, 3 * q + 1, load(tag, work.diagonal, 3 * q + 1) + xy)
-            store(tag, work.diagonal, 3 * q + 2, load(tag, work.diagonal, 3 * q + 2) + yy)
-            store(tag, work.block, 4 * e, -xx)
-            store(tag, work.block, 4 * e + 1, -xy)
-            store(tag, work.block, 4 * e + 2, -xy)
-            store(tag, work.block, 4 * e + 3, -yy)
+            # -s u uᵀ couples them, +s u uᵀ stands on both diagonals
+            sx, sy = constants.minus_s[i] * ux, constants.minus_s[i] * uy
+            xx, xy, yy = sx * ux, sx * uy, sy * uy
+            xxp, xyp, yyp = xxp - xx, xyp - xy, yyp - yy
+            store(tag, work.diagonal, 3 * q, load(tag, work.diagonal, 3 * q) - xx)
+            store(tag, work.diagonal, 3 * q + 1, load(tag, work.diagonal, 3 * q + 1) - xy)
+            store(tag, work.diagonal, 3 * q + 2, load(tag, work.diagonal, 3 * q + 2) - yy)
+            row = 4 * constants.block[i]
+            if constants.shares[i]:
+                xx, xy = xx + load(tag, work.block, row), xy + load(tag, work.block, row + 1)
+                yy = yy + load(tag, work.block, row + 3)
+            store(tag, work.block, row, xx)
+            store(tag, work.block, row + 1, xy)
+            store(tag, work.block, row + 2, xy)
+            store(tag, work.block, row + 3, yy)
         store(tag, work.rhs, 2 * p, fxp)
         store(tag, work.rhs, 2 * p + 1, fyp)
         store(tag, work.diagonal, 3 * p, xxp)

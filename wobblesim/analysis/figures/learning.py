@@ -11,6 +11,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from wobblesim.analysis.statistics import Mean, mean_of
@@ -44,6 +45,8 @@ class Curve:
     runs : int
     wobble_end : float
         Epoch; NaN for a fixed robot.
+    every : (n_epochs,)
+        The mean best of each single epoch, body lengths.
     """
 
     condition: str
@@ -51,6 +54,7 @@ class Curve:
     best: Mean
     runs: int
     wobble_end: float
+    every: NDArray[np.float64]
 
 
 def curves(results: Results) -> tuple[list[Curve], int]:
@@ -82,7 +86,8 @@ def _curve(condition: str, epochs: pd.DataFrame, stride: int, wobble_end: float)
     # An epoch in which all trials diverged has no best: a point is the mean of the others.
     best = epochs.groupby([epochs["seed"], point])["best"].mean().unstack("seed")
     middle = epochs.groupby(point)["epoch"].agg(lambda of_point: (of_point.min() + of_point.max()) / 2)
-    return Curve(condition, middle.to_numpy(np.float64), mean_of(best.to_numpy().T), best.shape[1], wobble_end)
+    every = epochs.groupby("epoch")["best"].mean().to_numpy(np.float64)
+    return Curve(condition, middle.to_numpy(np.float64), mean_of(best.to_numpy().T), best.shape[1], wobble_end, every)
 
 
 def learning_curves(results: Results) -> Figure:
@@ -90,10 +95,12 @@ def learning_curves(results: Results) -> Figure:
     found, stride = curves(results)
     figure = Figure(figsize=(8.0, 4.8), layout="constrained")
     axes = figure.add_subplot()
-    for number, curve in enumerate(found):
-        _draw(axes, curve, OKABE_ITO[number % len(OKABE_ITO)], DASHES[number // len(OKABE_ITO) % len(DASHES)])
-    _mark_wobble_ends(axes, found)
-    _name_curves(axes, found)
+    lines = [
+        _draw(axes, curve, OKABE_ITO[i % len(OKABE_ITO)], DASHES[i // len(OKABE_ITO) % len(DASHES)])
+        for i, curve in enumerate(found)
+    ]
+    _mark_wobble_ends(axes, found, lines)
+    _name_curves(axes, found, lines)
     _name_axes(axes, results, found, stride)
     return figure
 
@@ -103,13 +110,15 @@ def save(figure: Figure, path: Path) -> None:
     FigureCanvasAgg(figure).print_png(str(path))
 
 
-def _draw(axes: Axes, curve: Curve, color: str, dash: str) -> None:
+def _draw(axes: Axes, curve: Curve, color: str, dash: str) -> Line2D:
     mean, half_width, _ = curve.best
     axes.fill_between(curve.epoch, mean - half_width, mean + half_width, color=color, alpha=0.15, linewidth=0)
-    axes.plot(curve.epoch, mean, color=color, linestyle=dash, linewidth=1.6, label=curve.condition)
+    if len(curve.every) > len(mean):
+        axes.plot(np.arange(len(curve.every)), curve.every, color=color, alpha=0.4, linewidth=0.5)
+    return axes.plot(curve.epoch, mean, color=color, linestyle=dash, linewidth=1.6, label=curve.condition)[0]
 
 
-def _mark_wobble_ends(axes: Axes, found: list[Curve]) -> None:
+def _mark_wobble_ends(axes: Axes, found: list[Curve], lines: list[Line2D]) -> None:
     """A line across where all wobbles end together, else a dot on each curve."""
     last = max(curve.epoch[-1] for curve in found)
     ends = {curve.wobble_end for curve in found if curve.wobble_end <= last}
@@ -121,7 +130,7 @@ def _mark_wobble_ends(axes: Axes, found: list[Curve]) -> None:
             ha="center", va="bottom", color="0.3", fontsize=9,
         )  # fmt: skip
         return
-    for curve, line in zip(found, axes.get_lines(), strict=True):
+    for curve, line in zip(found, lines, strict=True):
         if curve.wobble_end <= last:
             height = np.interp(curve.wobble_end, curve.epoch, curve.best.mean)
             axes.plot(
@@ -130,8 +139,7 @@ def _mark_wobble_ends(axes: Axes, found: list[Curve]) -> None:
             )  # fmt: skip
 
 
-def _name_curves(axes: Axes, found: list[Curve]) -> None:
-    lines = axes.get_lines()[: len(found)]
+def _name_curves(axes: Axes, found: list[Curve], lines: list[Line2D]) -> None:
     if len(found) > MOST_LABELS:
         axes.legend(
             handles=lines, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, handlelength=3
@@ -177,7 +185,7 @@ def _spread(heights: list[float], gap: float) -> list[float]:
 def _name_axes(axes: Axes, results: Results, found: list[Curve], stride: int) -> None:
     durations = results.runs("trial.duration")["trial.duration"].unique()
     duration = f"{durations[0]:g} s" if len(durations) == 1 else "a trial"
-    axes.set_xlabel("epoch" if stride == 1 else f"epoch (a point is the mean of {stride} epochs)")
+    axes.set_xlabel("epoch" if stride == 1 else f"epoch (thick: means of {stride} epochs, thin: each epoch)")
     axes.set_ylabel(f"best trial of the epoch\n(body lengths in {duration})")
     runs = sorted({curve.runs for curve in found})
     number = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
