@@ -34,6 +34,7 @@ napoleon_use_ivar = True
 html_theme = "furo"
 html_title = "wobblesim"
 html_static_path = ["_static"]
+html_css_files = ["wide.css"]
 
 
 def models_of(annotation):

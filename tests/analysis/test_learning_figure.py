@@ -57,7 +57,7 @@ def test_wobbles_that_end_at_different_epochs_have_a_ring_each(tmp_path):
 
 
 def test_many_conditions_have_a_legend_and_no_two_look_alike(tmp_path):
-    thetas = ",".join(f"0.{k}" for k in range(56, 68))
+    thetas = ",".join(f"0.{k}" for k in range(61, 73))
     axes = learning_curves(results_of(tmp_path, f"sweep.physics.theta={thetas}", seeds="0")).axes[0]
     looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:14]]
     assert len(set(looks)) == 14

@@ -42,7 +42,7 @@ def test_free_flight_conserves_momentum(integrator):  # SD-6
     residual = np.linalg.norm(np.sum(m * v, axis=1), axis=-1) / moving.max()
     assert residual.max() < 1e-10  # measured 2.3e-13
     middle = np.sum(m * x, axis=1) / body.mass.sum()
-    assert np.abs(middle - middle[0]).max() < 1e-9 * body.body_length  # measured 3.3e-14
+    assert np.abs(middle - middle[0]).max() < 1e-9 * body.body_length  # measured 1.3e-14
 
 
 def test_speed_cap_breaks_momentum_and_says_so():  # SD-6: the author's law at its usual step, a documented fault
@@ -71,7 +71,7 @@ def spinning_starfish(rate):
 
 # Both implicit methods apply impulses along the line between two nodes, at the positions about which they move:
 # they conserve angular momentum exactly. RK4 does to its order.
-SPIN_DRIFT = {"impulse": 1e-10, "midpoint": 1e-10, "explicit": 1e-9}  # measured 9.8e-15, 1.3e-13, 7.6e-11
+SPIN_DRIFT = {"impulse": 1e-10, "midpoint": 1e-10, "explicit": 1e-9}  # measured 9.8e-15, 3.7e-13, 7.6e-11
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)
@@ -101,17 +101,16 @@ def scaled(body, factor):
     )
 
 
-def walk(body, integrator, stiffness=20000.0):
+def walk(body, integrator):
     physics = ws.Physics(integrator=integrator, dt=WALK_DT.get(integrator, 0.005), precision="float64")
-    scene = ws.Scene(floor=ws.Floor(stiffness=stiffness))
     behaviours = random_behaviours(8, 2, body.n_groups)
-    return ws.simulate(body, behaviours, scene=scene, physics=physics, duration=5.0, record_every=20).positions
+    return ws.simulate(body, behaviours, physics=physics, duration=5.0, record_every=20).positions
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)
 def test_four_times_all_masses_and_stiffnesses_move_alike_to_the_bit(integrator):  # SD-10
     body = random_body(41)
-    np.testing.assert_array_equal(walk(scaled(body, 4.0), integrator, 80000.0), walk(body, integrator))
+    np.testing.assert_array_equal(walk(scaled(body, 4.0), integrator), walk(body, integrator))
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)
@@ -120,7 +119,7 @@ def test_mirrored_robot_makes_the_mirrored_motion(integrator):  # SD-11
     mirror = np.array([-1.0, 1.0])
     mirrored = replace(body, position=body.position * mirror, velocity=body.velocity * mirror)
     one, other = walk(body, integrator), walk(mirrored, integrator)
-    np.testing.assert_allclose(other * mirror[:, None], one, rtol=0, atol=1e-9 * body.body_length)
+    np.testing.assert_allclose(other * mirror[:, None], one, rtol=0, atol=1e-9 * body.body_length)  # measured 0
 
 
 @pytest.mark.parametrize("integrator", ws.INTEGRATORS)
@@ -128,4 +127,4 @@ def test_robot_far_away_moves_alike(integrator):  # SD-11
     body = triangle()
     far = replace(body, position=body.position + np.array([1e6, 0.0]))
     gap = walk(far, integrator)[:, :, 0] - 1e6 - walk(body, integrator)[:, :, 0]
-    assert np.abs(gap).max() < 1e-4 * body.body_length  # measured 1.1e-8
+    assert np.abs(gap).max() < 1e-4 * body.body_length  # measured 4.0e-9

@@ -35,7 +35,7 @@ def test_grain_sticks_below_the_friction_angle(integrator, tangent):  # CF-1
     down, into = incline(tangent)
     depth, deflection = (0.0, 0.0) if integrator == "impulse" else (-into / STIFFNESS, down / STIFFNESS)
     x = grain_path(integrator, ws.Scene(gravity=(down, into)), 5.0, height=-depth)[:, 0]
-    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6  # no creep; measured 1.4e-10
+    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6  # no creep; measured 5.3e-11
     # The tangential spring, damped with ratio 0.2, overshoots to 1.53 times the pull: beyond mu above tan 0.33, where
     # the anchor slips once before it holds (measured 0.03 u at tan 0.49).
     assert abs(x[-1] - deflection) < (1e-6 if tangent < 0.33 else 0.1)
@@ -49,7 +49,7 @@ def test_grain_slides_above_the_friction_angle_as_coulomb_says(integrator, tange
     # Second difference over 1, 3 and 5 s: the landing within the first tenth of a second leaves a speed behind.
     second = round(1 / DT[integrator])
     acceleration = (x[5 * second] - 2 * x[3 * second] + x[second]) / 4
-    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 1e-12
+    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 7e-13
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -58,7 +58,7 @@ def test_impulse_halves_friction_above_unit_speed(tangent):  # CF-1: the author'
     x = grain_path("impulse", ws.Scene(gravity=(down, into)), 5.0)[:, 0]
     second = round(1 / DT["impulse"])
     acceleration = x[5 * second] - 2 * x[4 * second] + x[3 * second]
-    assert acceleration == pytest.approx(down + FRICTION / 2 * into, rel=1e-6)  # measured 6e-14
+    assert acceleration == pytest.approx(down + FRICTION / 2 * into, rel=1e-6)  # measured 9e-14
 
 
 def robot_path(tangent):
@@ -72,7 +72,7 @@ def robot_path(tangent):
 
 @pytest.mark.parametrize("tangent", [0.1, 0.25, 0.45, 0.49])
 def test_robot_sticks_below_the_friction_angle(tangent):  # CF-1
-    assert np.ptp(robot_path(tangent)[-6:]) < 1e-6  # measured 3e-14
+    assert np.ptp(robot_path(tangent)[-6:]) < 1e-6  # measured 9e-14
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -80,7 +80,7 @@ def test_robot_slides_above_the_friction_angle_as_coulomb_says(tangent):  # CF-1
     x = robot_path(tangent)
     down, into = incline(tangent)
     acceleration = (x[-1] - 2 * x[-6] + x[-11]) / 25
-    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 1e-12
+    assert acceleration == pytest.approx(down + FRICTION * into, rel=0.005)  # measured 7e-13
 
 
 def stopping_distances(integrator, frictions, speed, **options):
@@ -165,7 +165,7 @@ def test_impulse_bounces_for_ever():  # CF-5: the author's law, a documented fau
 
 
 # The default robot's springs have damping ratio 1 each, but its slow modes, in which each spring hardly moves, keep
-# swinging for minutes (0.16 BL/s after 30 s, the same at a quarter of the step): 30 times the damping stops them.
+# swinging for minutes (up to 0.13 BL/s after 30 s, 0.12 at a quarter of the step): 30 times the damping stops them.
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_damped_robot_comes_to_rest(restitution):  # CF-5
     body = ws.starfish(damping_ratio=30.0)
@@ -174,18 +174,18 @@ def test_damped_robot_comes_to_rest(restitution):  # CF-5
     trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=60.0, record_every=1)
     x = trials.positions[3000:, :, :, 0]
     speed = np.linalg.norm(np.diff(x, axis=0), axis=-1).max() / physics.dt
-    assert speed < 1e-3 * body.body_length  # measured 4.9e-5
+    assert speed < 1e-3 * body.body_length  # measured 4.8e-5
 
 
 @pytest.mark.parametrize("integrator", COMPLIANT)
-def test_depth_at_rest_is_the_weight_over_the_stiffness(integrator):  # CF-6
-    masses = np.array([0.5, 1.0, 5.0])
+def test_depth_at_rest_is_gravity_over_the_stiffness_at_any_mass(integrator):  # CF-6
+    masses = np.array([0.05, 0.5, 1.0, 5.0, 20.0])
     for stiffness in (2e3, 5e3, 1e4, 2e4):
         scene = ws.Scene(floor=ws.Floor(stiffness=stiffness))
-        body = grains(np.zeros((3, 2)), mass=masses)
+        body = grains(np.zeros((5, 2)), mass=masses)
         physics = ws.Physics(integrator=integrator, dt=DT[integrator], precision="float64")
         trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=10.0, record_every=1)
-        np.testing.assert_allclose(-trials.positions[-1, :, 1, 0], masses * GRAVITY / stiffness, rtol=1e-6)  # 2e-15
+        np.testing.assert_allclose(-trials.positions[-1, :, 1, 0], GRAVITY / stiffness, rtol=1e-6)  # 2.2e-15
 
 
 @pytest.mark.parametrize("integrator", ["impulse", "midpoint"])
@@ -197,19 +197,19 @@ def test_fast_grains_do_not_pass_the_floor(integrator):  # CF-7
     x = trials.positions[..., 0]
     flying = (x[1:, :, 1] > 1) & (x[:-1, :, 1] > 1)
     rising = np.where(flying, np.diff(x[:, :, 1], axis=0), 0).max(axis=0) / physics.dt
-    assert (rising < 0.6 * speeds).all()  # measured 0.56
+    assert (rising < 0.9 * speeds).all()  # measured 0.55; 0.87 in the worst phase of a touch-down, see the last test
     assert (x[-1, :, 1] >= -1.01 * GRAVITY / STIFFNESS).all()
 
 
 def total_energy(body, x, v):
     """Energy (frames,) of a body on the compliant floor, the weight's included."""
-    sunk = np.minimum(x[..., 1], 0)
-    weight = GRAVITY * np.sum(body.mass * x[..., 1], axis=-1)
-    return spring_energy(body, x) + kinetic_energy(body, v) + weight + STIFFNESS / 2 * np.sum(sunk**2, axis=-1)
+    height = x[..., 1]
+    weight_and_floor = body.mass * (GRAVITY * height + STIFFNESS / 2 * np.minimum(height, 0) ** 2)
+    return spring_energy(body, x) + kinetic_energy(body, v) + np.sum(weight_and_floor, axis=-1)
 
 
-# Beyond restitution 0.5 the step itself gives energy to some touch-downs: see the next test.
-@pytest.mark.parametrize(("restitution", "gain"), [(0.0, 1e-9), (0.5, 1e-9), (1.0, 2e-3)])  # measured 0, 0, 3.7e-4
+# At restitution 1 the step itself gives energy to some touch-downs: see the next test.
+@pytest.mark.parametrize(("restitution", "gain"), [(0.0, 1e-9), (0.5, 1e-9), (1.0, 1e-3)])  # 8e-14, 8e-14, 4.8e-5
 def test_dropped_robot_gains_no_energy(restitution, gain):  # CF-9
     body = ws.starfish()
     body = replace(body, position=body.position + np.array([0.0, 200.0]))
@@ -222,20 +222,22 @@ def test_dropped_robot_gains_no_energy(restitution, gain):  # CF-9
 
 
 # A touch-down is noticed half a step late at worst, with the floor's spring compressed for nothing: a gain of up to
-# (omega h)^2 / 4 of the energy, omega = sqrt(k/m). The rebound of a lone node at the shipped step over all phases of
-# the touch-down, as measured: mean and largest, for a restitution of 0.5 and masses down to the lightest that still
-# loses energy in every touch-down.
+# (omega h)^2 / 4 of the energy, omega = sqrt(stiffness), whatever the mass. The rebound of a lone node at the shipped
+# step over all phases of the touch-down, as measured: mean and largest. Up to a restitution of 0.6 (largest 0.953)
+# every touch-down loses energy; at 0.7 (largest 1.024) some gain. Below 0.21 all restitutions are alike: the dashpot
+# is bounded to what the step can bear, a damping ratio of 1/(omega h) = 0.71.
+@pytest.mark.parametrize("mass", [0.05, 1.0, 20.0])
 @pytest.mark.parametrize(
-    ("mass", "mean", "largest"), [(20.0, 0.507, 0.552), (4.0, 0.534, 0.631), (1.0, 0.613, 0.868), (0.5, 0.663, 0.848)]
+    ("restitution", "mean", "largest"), [(0.0, 0.307, 0.538), (0.5, 0.610, 0.869), (1.0, 1.015, 1.188)]
 )
-def test_rebound_at_the_shipped_step_is_as_documented(mass, mean, largest):
-    speed, grains_n = 10.0, 200
+def test_rebound_at_the_shipped_step_is_as_documented(restitution, mean, largest, mass):
+    speed, grains_n, step = 10.0, 200, ws.Physics().dt
     velocity = np.tile((0.0, -speed), (grains_n, 1))
     body = grains(velocity, friction=0.0, mass=mass)
-    phases = np.stack([np.zeros(grains_n), 0.01 * speed * np.arange(grains_n) / grains_n], axis=1)
+    phases = np.stack([np.zeros(grains_n), step * speed * np.arange(grains_n) / grains_n], axis=1)
     body = replace(body, position=body.position + phases)
-    physics = ws.Physics(dt=0.01, precision="float64")
-    trials = ws.simulate(body, still(body), scene=ws.Scene(gravity=0.0), physics=physics, duration=1.0, record_every=1)
-    after = (trials.positions[-1, :, 1, 0] - trials.positions[-2, :, 1, 0]) / (speed * physics.dt)
-    assert after.mean() == pytest.approx(mean, abs=0.01)
-    assert after.max() == pytest.approx(largest, abs=0.01)
+    scene, physics = ws.Scene(gravity=0.0, floor=ws.Floor(restitution=restitution)), ws.Physics(precision="float64")
+    trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=1.0, record_every=1)
+    after = (trials.positions[-1, :, 1, 0] - trials.positions[-2, :, 1, 0]) / (speed * step)
+    assert after.mean() == pytest.approx(mean, abs=0.001)
+    assert after.max() == pytest.approx(largest, abs=0.001)

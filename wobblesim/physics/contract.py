@@ -3,7 +3,7 @@
 An integrator is a small file with
 
 - a `NamedTuple` of its constants (arrays and scalars of one precision), whose *type* selects the step;
-- a function ``prepare(system, physics, tag) -> Method`` that fills it, once per simulate call;
+- a function ``prepare(system, physics, dtype) -> Method`` that fills it, once per simulate call;
 - a step, registered with ``@step_of(Constants)``: plain Python on lanes, compiled for each width and precision.
 
 The step sees rows of lanes and scalars, and nothing of files, bodies or robots.
@@ -25,6 +25,7 @@ from wobblesim.physics.scene import Floor, Physics, Scene
 from wobblesim.robot.body import Body
 
 Array = NDArray[Any]
+Dtype = np.dtype[Any]
 
 # Nodes closer than this (u) have no direction: 1/d stays finite, and u = (0, 0) where they coincide.
 CLOSEST = 1e-30
@@ -130,7 +131,7 @@ class Method:
     ahead : float
         How far ahead of time the state's positions are kept, s.
     workspace : callable
-        ``workspace(state) -> NamedTuple`` of rows for one block of lanes, ready for the first step.
+        ``workspace(tag, state) -> NamedTuple`` of rows for one block of lanes, ready for the first step.
     """
 
     constants: Any
@@ -138,7 +139,7 @@ class Method:
     friction: Array | None
     node_order: Array
     ahead: float
-    workspace: Callable[[State], Any]
+    workspace: Callable[[LanesTag, State], Any]
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class Integrator:
     registers : int
         Vector registers a row should span: more than one where a step waits for results (see benchmarks/).
     prepare : callable
-        ``prepare(system, physics, tag) -> Method``; ValueError if the integrator refuses the step.
+        ``prepare(system, physics, dtype) -> Method``; ValueError if the integrator refuses the step.
     """
 
     name: str
@@ -165,7 +166,7 @@ class Integrator:
     contact: str
     stable_when_stiff: bool
     registers: int
-    prepare: Callable[[System, Physics, LanesTag], Method]
+    prepare: Callable[[System, Physics, Dtype], Method]
 
 
 _STEPS: dict[type, Callable[..., None]] = {}

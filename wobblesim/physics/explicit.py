@@ -15,6 +15,7 @@ from wobblesim.physics.contact import compliant_floor, normal_force, tangential_
 from wobblesim.physics.contract import (
     CLOSEST,
     Array,
+    Dtype,
     Integrator,
     Method,
     State,
@@ -57,22 +58,22 @@ class Work(NamedTuple):
     anchor: Array
 
 
-def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
+def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system; ValueError if the step is beyond the stability limit."""
-    real, h = tag.dtype.type, physics.dt
+    real, h = dtype.type, physics.dt
     _refuse_unstable(system, h)
     a, b = system.springs.T.copy()
     gx, gy = system.gravity
     constants = Explicit(
-        h=real(h), weight=(h * np.array([1, 2, 2, 1]) / 6).astype(tag.dtype),
-        ahead=(h * np.array([0.5, 0.5, 1.0, 0.0])).astype(tag.dtype), stage=np.array([0, 1, 1, 2]),
-        inverse_mass=system.inverse_mass.astype(tag.dtype), gravity_x=real(gx), gravity_y=real(gy), a=a, b=b,
-        k=system.k.astype(tag.dtype), c=system.c.astype(tag.dtype), rest_row=system.rest_row,
+        h=real(h), weight=(h * np.array([1, 2, 2, 1]) / 6).astype(dtype),
+        ahead=(h * np.array([0.5, 0.5, 1.0, 0.0])).astype(dtype), stage=np.array([0, 1, 1, 2]),
+        inverse_mass=system.inverse_mass.astype(dtype), gravity_x=real(gx), gravity_y=real(gy), a=a, b=b,
+        k=system.k.astype(dtype), c=system.c.astype(dtype), rest_row=system.rest_row,
     )  # fmt: skip
-    floor = compliant_floor(system.floor, system.mass, tag.dtype) if system.floor else None
-    friction = system.friction.astype(tag.dtype) if floor and system.friction.any() else None
+    floor = compliant_floor(system.floor, system.mass, dtype) if system.floor else None
+    friction = system.friction.astype(dtype) if floor and system.friction.any() else None
 
-    def workspace(state: State) -> Work:
+    def workspace(tag: LanesTag, state: State) -> Work:
         n = system.n_nodes
         stage, total = (State(*(rows(n, tag) for _ in range(4))) for _ in range(2))
         anchor = rows(n, tag)

@@ -15,6 +15,7 @@ import numpy as np
 from wobblesim.physics.contract import (
     CLOSEST,
     Array,
+    Dtype,
     Integrator,
     Method,
     State,
@@ -70,9 +71,9 @@ class Work(NamedTuple):
     touching: Array  # (n_nodes,) int: nodes with a contact in some lane
 
 
-def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
+def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system."""
-    real, h = tag.dtype.type, physics.dt
+    real, h = dtype.type, physics.dt
     order = schedule_springs(system.springs, system.n_nodes)
     a, b = system.springs[order].T.copy()
     k, c = system.k[order], system.c[order]
@@ -81,15 +82,15 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
     gx, gy = system.gravity
     constants = Impulse(
         h=real(h), iterations=physics.iterations, gravity_x=real(h * gx), gravity_y=real(h * gy),
-        inverse_mass=system.inverse_mass.astype(tag.dtype), a=a, b=b, rest_row=system.rest_row[order],
-        gain=(h * k * gamma).astype(tag.dtype), gamma=gamma.astype(tag.dtype), mass=mass.astype(tag.dtype),
+        inverse_mass=system.inverse_mass.astype(dtype), a=a, b=b, rest_row=system.rest_row[order],
+        gain=(h * k * gamma).astype(dtype), gamma=gamma.astype(dtype), mass=mass.astype(dtype),
         top_speed=real(LONGEST_MOVE / h), half_friction_speed=real(HALF_FRICTION_SPEED),
     )  # fmt: skip
     floor = system.floor
     rigid = floor and RigidFloor(real(floor.restitution), real(floor.restitution_threshold))
-    friction = system.friction.astype(tag.dtype) if floor and system.friction.any() else None
+    friction = system.friction.astype(dtype) if floor and system.friction.any() else None
 
-    def workspace(state: State) -> Work:
+    def workspace(tag: LanesTag, state: State) -> Work:
         n, m = system.n_nodes, len(a)
         return Work(
             ux=rows(m, tag), uy=rows(m, tag), beta=rows(m, tag), impulse=rows(m, tag),

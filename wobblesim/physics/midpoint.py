@@ -26,6 +26,7 @@ from wobblesim.physics.contact import compliant_floor, normal_force, tangential_
 from wobblesim.physics.contract import (
     CLOSEST,
     Array,
+    Dtype,
     Integrator,
     Method,
     State,
@@ -77,9 +78,9 @@ class Work(NamedTuple):
     touched: Array  # (n_nodes,) int: whether some lane was at the floor in the step before
 
 
-def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
+def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system: order the nodes, sort the springs by block."""
-    real, h = tag.dtype.type, physics.dt
+    real, h = dtype.type, physics.dt
     plan = eliminate(system.springs, system.n_nodes)
     order = plan.order
     springs, block = _springs_by_block(system, plan)
@@ -89,18 +90,18 @@ def prepare(system: System, physics: Physics, tag: LanesTag) -> Method:
     gx, gy = system.gravity
     constants = Midpoint(
         h=real(h), half_h=real(0.5 * h), theta_h=real(0.5 * physics.theta * h * h),
-        free=free.astype(tag.dtype), mass=mass.astype(tag.dtype),
-        weight_x=(h * gx * mass).astype(tag.dtype), weight_y=(h * gy * mass).astype(tag.dtype),
+        free=free.astype(dtype), mass=mass.astype(dtype),
+        weight_x=(h * gx * mass).astype(dtype), weight_y=(h * gy * mass).astype(dtype),
         first=plan.first, row=plan.row, spring_first=np.searchsorted(block, plan.first), other=plan.row[block],
         block=block, shares=np.diff(block, prepend=-1) == 0, filled=np.setdiff1d(np.arange(plan.n_blocks), block),
-        hk=(h * k).astype(tag.dtype), hc=(h * c).astype(tag.dtype),
-        minus_s=(-0.5 * h * (c + physics.theta * h * k)).astype(tag.dtype), rest_row=system.rest_row[springs],
+        hk=(h * k).astype(dtype), hc=(h * c).astype(dtype),
+        minus_s=(-0.5 * h * (c + physics.theta * h * k)).astype(dtype), rest_row=system.rest_row[springs],
         target_first=plan.target_first, target=plan.target,
     )  # fmt: skip
-    floor = compliant_floor(system.floor, mass, tag.dtype, h) if system.floor else None
-    friction = system.friction[order].astype(tag.dtype) if floor and system.friction.any() else None
+    floor = compliant_floor(system.floor, mass, dtype, h) if system.floor else None
+    friction = system.friction[order].astype(dtype) if floor and system.friction.any() else None
 
-    def workspace(state: State) -> Work:
+    def workspace(tag: LanesTag, state: State) -> Work:
         n = system.n_nodes
         blocks = rows(4 * plan.n_blocks, tag)
         return Work(rows(3 * n, tag), rows(2 * n, tag), blocks, rows(n, tag), np.zeros(n, np.int64))

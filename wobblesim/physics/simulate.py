@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 import operator
 import os
@@ -24,8 +25,8 @@ from wobblesim.robot.morphology import Morphology
 
 WATCH_EVERY = 16  # steps between two looks for diverged lanes
 VECTOR_BYTES = 64  # one AVX-512 register, or two AVX2 registers
-# A step on rows of half the width takes 2**-0.75 = 0.6 of the time: see benchmarks/.
-NARROW_EXPONENT = 0.75
+# A step on rows of half the width takes 2**-0.55 = 0.68 of the time: see benchmarks/.
+NARROW_EXPONENT = 0.55
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +113,16 @@ def simulate(
     system = system_of(adapted, scene, morphology.gravity)
     threads = threads or available_threads()
     integrator = INTEGRATORS[physics.integrator]
-    width = width or best_width(len(behaviours), threads, integrator.registers, physics.precision)
-    tag = lanes(physics.precision, width)
-    method = integrator.prepare(system, physics, tag)
+    dtype = np.dtype(physics.precision)
+    method = integrator.prepare(system, physics, dtype)
     signals = split_behaviours(behaviours, gait)
-    ticks = clock(gait, physics.dt, 2 * n_steps + 1).astype(tag.dtype)
-    run = functools.partial(_run_block, tag, system, method, ticks, n_steps, physics, record_every)
-    blocks = [_lanes_of(signals, start, tag) for start in range(0, len(behaviours), tag.width)]
-    if threads == 1 or len(blocks) <= 1:
+    ticks = clock(gait, physics.dt, 2 * n_steps + 1).astype(dtype)
+    full = integrator.registers * VECTOR_BYTES // dtype.itemsize
+    widths = [width] * -(-len(behaviours) // width) if width else block_widths(len(behaviours), threads, full)
+    starts = itertools.accumulate(widths, initial=0)
+    blocks = [_Block(lanes(dtype, w), signals, start) for w, start in zip(widths, starts, strict=False)]
+    run = functools.partial(_run_block, system, method, ticks, n_steps, physics, record_every)
+    if threads == 1 or len(blocks) == 1:
         outcomes = [run(block) for block in blocks]
     else:
         outcomes = list(_pool(threads).map(run, blocks))
@@ -143,6 +146,8 @@ def _checked_behaviours(body: Body, behaviours: ArrayLike) -> NDArray[np.float64
             f"behaviours have shape {behaviours.shape}: they must have (n_trials, {2 * body.n_groups}), "
             f"an amplitude and an offset for each of the {body.n_groups} motor groups"
         )
+    if len(behaviours) == 0:
+        raise ValueError("there are no behaviours to try: give at least one")
     return behaviours
 
 
@@ -154,28 +159,33 @@ def _checked_steps(duration: float, dt: float, record_every: int | None) -> int:
     return max(1, round(duration / dt))
 
 
-def best_width(n_trials: int, threads: int, registers: int, precision: str) -> int:
-    """Lane width with the shortest time for so many trials on so many threads.
+def block_widths(n_trials: int, threads: int, full: int) -> list[int]:
+    """Lane widths of the blocks that take the shortest time for so many trials on so many threads.
 
-    Rows as wide as the integrator likes, unless narrower ones keep more threads busy or pad less.
+    Whole rounds of full blocks, one a thread; what is left over in blocks as narrow as keeps all threads busy.
     """
-    full = registers * VECTOR_BYTES // np.dtype(precision).itemsize
+    rounds, left = divmod(n_trials, full * threads)
 
     def cost(width: int) -> float:
-        blocks = math.ceil(n_trials / width)
-        return math.ceil(blocks / threads) * (width / full) ** NARROW_EXPONENT
+        return math.ceil(math.ceil(left / width) / threads) * (width / full) ** NARROW_EXPONENT
 
-    return min((full, full // 2, full // 4), key=cost)
+    width = min((full, full // 2, full // 4), key=cost)
+    return [full] * (rounds * threads) + [width] * math.ceil(left / width)
 
 
-def _lanes_of(signals: tuple[Any, Any], start: int, tag: LanesTag) -> tuple[Any, Any]:
-    """Sine and cosine parts of one block's signals; the last block repeats its last trial to fill its lanes."""
-    n_trials = signals[0].shape[1]
-    trials = np.minimum(np.arange(start, start + tag.width), n_trials - 1)
-    block = tuple(rows(len(part), tag) for part in signals)
-    for lane_rows, part in zip(block, signals, strict=True):
-        lane_rows[:] = part[:, trials]
-    return block  # type: ignore[return-value]
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Some lanes of the trials: the last block repeats the last trial to fill its lanes."""
+
+    tag: LanesTag
+    signals: tuple[NDArray[Any], NDArray[Any]]
+    start: int
+
+    def lanes_of(self, part: NDArray[Any]) -> NDArray[Any]:
+        """Rows of this block's lanes from ``part (n_groups, n_trials)``."""
+        block = rows(len(part), self.tag)
+        block[:] = part[:, np.minimum(np.arange(self.start, self.start + self.tag.width), part.shape[1] - 1)]
+        return block
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,10 +198,10 @@ class _Outcome:
 
 
 def _run_block(
-    tag: LanesTag, system: System, method: Method, ticks: NDArray[Any], n_steps: int, physics: Physics,
-    record_every: int | None, signals: tuple[Any, Any],
+    system: System, method: Method, ticks: NDArray[Any], n_steps: int, physics: Physics, record_every: int | None,
+    block: _Block,
 ) -> _Outcome:  # fmt: skip
-    order = method.node_order
+    tag, order = block.tag, method.node_order
     state = State(*(rows(system.n_nodes, tag) for _ in range(4)))
     for target, source in zip(state, (*system.position.T, *system.velocity.T), strict=True):
         target[:] = source[order, None]
@@ -202,7 +212,7 @@ def _run_block(
         frames = rows((n_steps // record_every + 1) * 2 * system.n_nodes, tag)
     watch = rows(2, tag)
     watch[1] = -1.0
-    muscles, work = _muscles(system, signals, ticks, tag), method.workspace(state)
+    muscles, work = _muscles(system, block, ticks), method.workspace(tag, state)
     ahead, max_speed = tag.dtype.type(method.ahead), tag.dtype.type(physics.max_speed)
     advance(
         tag, method.constants, method.floor, method.friction, muscles, state, rest, work, watch, frames,
@@ -211,13 +221,14 @@ def _run_block(
     return _Outcome(state, watch, frames)
 
 
-def _muscles(system: System, signals: tuple[Any, Any], ticks: NDArray[Any], tag: LanesTag) -> Muscles | None:
+def _muscles(system: System, block: _Block, ticks: NDArray[Any]) -> Muscles | None:
     if len(system.muscle_row) == 0:
         return None
-    length = system.rest[system.muscle_row]
+    length, dtype = system.rest[system.muscle_row], block.tag.dtype
+    sine, cosine = map(block.lanes_of, block.signals)
     return Muscles(
-        row=system.muscle_row, group=system.muscle_group, length=length.astype(tag.dtype),
-        signed_length=(system.muscle_sign * length).astype(tag.dtype), sine=signals[0], cosine=signals[1], clock=ticks,
+        row=system.muscle_row, group=system.muscle_group, length=length.astype(dtype),
+        signed_length=(system.muscle_sign * length).astype(dtype), sine=sine, cosine=cosine, clock=ticks,
     )  # fmt: skip
 
 

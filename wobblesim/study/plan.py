@@ -15,7 +15,6 @@ from wobblesim.learning.run import Setup
 from wobblesim.learning.search import Search
 from wobblesim.learning.wobble import Wobble
 from wobblesim.physics.contract import system_of
-from wobblesim.physics.lanes import lanes
 from wobblesim.physics.registry import INTEGRATORS
 from wobblesim.physics.scene import Floor, Physics, Scene
 from wobblesim.robot.body import Body
@@ -25,9 +24,6 @@ from wobblesim.robot.starfish import starfish
 
 LANES_OF_A_BLOCK = 16
 """Lanes that the physics takes at a time in float32, twice those in float64."""
-
-LEAST_LANES = 8
-"""Lanes for looking at an integrator's constants without running it."""
 
 RunKey = tuple[str, int]
 """A condition's id and a seed."""
@@ -237,7 +233,7 @@ def _check_step(setup: Setup) -> None:
         return
     for morphology in _extremes(setup):
         system = system_of(setup.body.adapted(morphology), setup.scene, morphology.gravity)
-        integrator.prepare(system, setup.physics, lanes(setup.physics.precision, LEAST_LANES))
+        integrator.prepare(system, setup.physics, np.dtype(setup.physics.precision))
 
 
 def _extremes(setup: Setup) -> set[Morphology]:
