@@ -13,7 +13,8 @@ from wobblesim.commands.options import config_options, echo_json, json_option, p
 def command(config: str, settings: tuple[str, ...], seeds: str | None, as_json: bool) -> None:
     """Check a configuration: every key, every condition, every robot.
 
-    Prints what it asks for, or each fault as FILE:LINE:COLUMN: KEY: what is wrong and what is allowed (exit code 2).
+    Prints what it asks for, or for each fault the file, line, column and key, what is wrong and what is allowed (exit
+    code 2).
     """
     from wobblesim.config import load_config, remarks
     from wobblesim.study.plan import lane_steps, study

@@ -210,8 +210,12 @@ class FloorSettings(Section, frozen=True):
     """The floor at y = 0."""
 
     restitution: Real = number(0.5, "Share of the normal speed kept at a rebound", ge=0, le=1)
-    restitution_threshold: Real = number(1.0, "Speed below which a node does not rebound", "u/s", ge=0, le=1e6)
-    stiffness: Real = number(20_000.0, "Stiffness of a contact, per unit of node mass", "1/s²", gt=0, le=1e9)
+    restitution_threshold: Real = number(
+        1.0, "Speed below which a node does not rebound; for impulse only", "u/s", ge=0, le=1e6
+    )
+    stiffness: Real = number(
+        20_000.0, "Stiffness of a contact, per unit of node mass; not for impulse", "1/s²", gt=0, le=1e9
+    )
 
 
 GRAVITY_RULE = "one number (downward) or [gx, gy], each from -10,000 to 10,000 u/s²"

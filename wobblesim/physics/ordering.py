@@ -86,7 +86,7 @@ def eliminate(springs: Ints, n_nodes: int) -> Elimination:
     ----------
     springs : (n_springs, 2) int
     """
-    return _eliminate(np.ascontiguousarray(springs).tobytes(), n_nodes)
+    return _eliminate(np.ascontiguousarray(springs, dtype=np.int64).tobytes(), n_nodes)
 
 
 @functools.lru_cache(maxsize=32)  # 3 ms for the starfish, needed again at every epoch of every run
