@@ -93,3 +93,28 @@ def test_impulse_counts_each_cut_move_and_goes_on():
     assert np.isnan(trials.diverged_at[0])
     moves = np.diff(trials.positions[:, 0, 0, 0])
     np.testing.assert_allclose(moves, 2.0, rtol=1e-12)
+
+
+def test_cut_moves_are_counted_beyond_what_single_precision_counts():
+    # 1000 grains in free fall at the top speed of impulse (2 u a step), cut at every step but the first: 2.0e7 cuts.
+    body = ws.Body.from_arrays(np.zeros((1000, 2)), velocity=[0.0, -1000.0])
+    scene = ws.Scene(gravity=100.0, floor=None)
+    counts = {
+        precision: ws.simulate(
+            body, np.zeros((1, 0)), scene=scene, duration=100.0, physics=physics("impulse", precision=precision)
+        ).limited[0]
+        for precision in ("float32", "float64")
+    }
+    assert counts == {"float32": 20_000_000, "float64": 20_000_000}
+
+
+@pytest.mark.parametrize("options", [{"threads": 0}, {"threads": -2}, {"width": -1}, {"record_every": 2.5}])
+def test_counts_that_mean_nothing_are_refused(options):
+    body = triangle()
+    with pytest.raises(ValueError, match="must be a whole number from 1"):
+        ws.simulate(body, random_behaviours(0, 2, body.n_groups), duration=0.1, **options)
+
+
+def test_no_behaviours_are_refused():
+    with pytest.raises(ValueError, match="at least one"):
+        ws.simulate(triangle(), np.zeros((0, 2 * triangle().n_groups)), duration=0.1)

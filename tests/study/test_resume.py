@@ -154,3 +154,21 @@ def _wait_for(path: Path, process: subprocess.Popen) -> None:
         assert process.poll() is None
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def test_a_checkpoint_is_of_its_seeds_only(tmp_path):
+    # As many seeds, the same first one: the others must not get what seeds 1, 2 and 3 have learnt.
+    sweep(study(seeds="0..3"), tmp_path / "both", simulate=toy, stop=StopAfter(5))
+    sweep(study(seeds="0,2,4,6"), tmp_path / "both", simulate=toy)
+    sweep(study(seeds="0,2,4,6"), tmp_path / "fresh", simulate=toy)
+    wanted = content(tmp_path / "fresh")
+    assert content(tmp_path / "both") == wanted
+
+
+def test_a_checkpoint_is_of_its_settings_only(tmp_path):
+    # The manifest that would have refused the change is lost.
+    sweep(study(), tmp_path / "both", simulate=toy, stop=StopAfter(5))
+    (tmp_path / "both" / "manifest.jsonl").unlink()
+    sweep(study("learning.scale=0.3"), tmp_path / "both", simulate=toy)
+    sweep(study("learning.scale=0.3"), tmp_path / "fresh", simulate=toy)
+    assert content(tmp_path / "both") == content(tmp_path / "fresh")

@@ -1,9 +1,11 @@
 """The results folder: what is committed is there, whatever happens to the rest."""
 
+import fcntl
 import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from wobblesim.config import parse_config
 from wobblesim.study import store as store_module
 from wobblesim.study.execute import sweep
 from wobblesim.study.schema import schema
-from wobblesim.study.store import MANIFEST, StoreError, WriteError, holder, opened, read_manifest, read_tables
+from wobblesim.study.store import LOCK, MANIFEST, StoreError, WriteError, holder, opened, read_manifest, read_tables
 
 
 @pytest.fixture
@@ -283,3 +285,13 @@ def test_the_kept_configuration_asks_for_all_seeds_and_gives_the_same_study(done
 def test_a_condition_cannot_leave_its_folder(tmp_path, name):
     with opened(tmp_path) as store, pytest.raises(StoreError, match="cannot be the id"):
         store.declare({name: {}})
+
+
+def test_somebody_who_asks_who_writes_does_not_stop_a_writer(tmp_path):
+    with opened(tmp_path):
+        pass
+    with (tmp_path / LOCK).open("r", encoding="utf-8") as asking:
+        fcntl.flock(asking, fcntl.LOCK_SH)
+        threading.Timer(0.1, fcntl.flock, (asking.fileno(), fcntl.LOCK_UN)).start()
+        with opened(tmp_path) as store:
+            assert store.folder == tmp_path

@@ -52,7 +52,9 @@ class Results:
     def _read(self, table: str, columns: tuple[str, ...]) -> pd.DataFrame:
         paths = self.manifest.files(table)
         if not paths:
-            raise StoreError(f"{self.folder} has no {table}; set `log: {table}` in the configuration and run it anew")
+            raise StoreError(
+                f"{self.folder} has no {table}; set `log: {table}` in the configuration and run it into another folder"
+            )
         frame = read_tables(self.folder, paths, list(columns) or None).unify_dictionaries().to_pandas()
         if "condition" in frame:
             frame["condition"] = pd.Categorical(frame["condition"].astype(str), self.conditions, ordered=True)

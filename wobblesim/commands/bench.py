@@ -17,8 +17,12 @@ if TYPE_CHECKING:
 @click.option(
     "--integrator", "integrators", multiple=True, metavar="NAME", help="Only this integrator; may be given again."
 )
-@click.option("--seconds", default=0.5, show_default=True, help="Length of each timed run.")
-@click.option("--repeats", default=5, show_default=True, help="Timed runs of which the best counts.")
+@click.option(
+    "--seconds", type=click.FloatRange(0.01), default=0.5, show_default=True, help="Length of each timed run."
+)
+@click.option(
+    "--repeats", type=click.IntRange(1), default=5, show_default=True, help="Timed runs of which the best counts."
+)
 @click.option("--threads", type=click.IntRange(min=1), help="Threads instead of all.")
 @json_option
 def command(integrators: tuple[str, ...], seconds: float, repeats: int, threads: int | None, as_json: bool) -> None:

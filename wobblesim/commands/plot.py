@@ -19,4 +19,6 @@ def command(folder: Path, out: Path | None) -> None:
     """Draw the learning curves of the results in DIR, also while a sweep is writing there."""
     from wobblesim.commands.sweep import draw
 
+    if out and out.suffix.lower() != ".png":
+        raise click.BadParameter(f"{out} does not end in .png, and PNG is what is written", param_hint="--out")
     click.echo(draw(folder, out))

@@ -154,7 +154,7 @@ class Integrator:
     contact : str
         ``rigid`` or ``compliant``.
     stable_when_stiff : bool
-        Whether any dt is stable on a linear spring.
+        Whether any dt is stable on a linear spring, in exact arithmetic.
     registers : int
         Vector registers a row should span: more than one where a step waits for results (see benchmarks/).
     prepare : callable
@@ -188,7 +188,7 @@ def step(
 ) -> None:  # fmt: skip
     """Move every lane from t = n h to (n + 1) h; `state`, `rest`, `limited` and `work` are written in place.
 
-    `limited`, ``(1, width)``, counts the node-steps that a limiter of the method has cut.
+    Row 0 of `limited` counts the node-steps that a limiter of the method has cut.
     """
     _STEPS[type(constants)](tag, constants, floor, friction, muscles, state, rest, limited, work, n)
 

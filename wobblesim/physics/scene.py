@@ -100,6 +100,7 @@ class Physics:
     def __post_init__(self) -> None:
         _require(0 < self.dt < math.inf, "dt", self.dt, "finite and > 0 s")
         _require(self.precision in ("float32", "float64"), "precision", self.precision, "float32 or float64")
-        _require(self.iterations >= 1, "iterations", self.iterations, "1 or more")
+        whole = isinstance(self.iterations, int) and self.iterations >= 1
+        _require(whole, "iterations", self.iterations, "a whole number from 1")
         _require(0.5 <= self.theta <= 1, "theta", self.theta, "in [0.5, 1]")
         _require(self.max_speed > 0, "max_speed", self.max_speed, "> 0 u/s")

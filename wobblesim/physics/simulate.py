@@ -106,7 +106,8 @@ def simulate(
         If a shape, name or range is wrong, or the integrator refuses the step.
     """
     behaviours = _checked_behaviours(body, behaviours)
-    n_steps = _checked_steps(duration, physics.dt, record_every)
+    n_steps = _checked_steps(duration, physics.dt)
+    _check_counts(record_every=record_every, threads=threads, width=width)
     if physics.integrator not in INTEGRATORS:
         raise ValueError(f"no integrator named {physics.integrator!r}: there are {', '.join(INTEGRATORS)}")
     adapted = body.adapted(morphology)
@@ -151,12 +152,16 @@ def _checked_behaviours(body: Body, behaviours: ArrayLike) -> NDArray[np.float64
     return behaviours
 
 
-def _checked_steps(duration: float, dt: float, record_every: int | None) -> int:
+def _checked_steps(duration: float, dt: float) -> int:
     if not (math.isfinite(duration) and duration > 0):
         raise ValueError(f"duration is {duration}: it must be a finite time > 0 s")
-    if record_every is not None and record_every < 1:
-        raise ValueError(f"record_every is {record_every}: it must be 1 step or more")
     return max(1, round(duration / dt))
+
+
+def _check_counts(**counts: int | None) -> None:
+    for name, count in counts.items():
+        if count is not None and (not isinstance(count, (int, np.integer)) or count < 1):
+            raise ValueError(f"{name} is {count}: it must be a whole number from 1")
 
 
 def block_widths(n_trials: int, threads: int, full: int) -> list[int]:
@@ -193,7 +198,8 @@ class _Outcome:
     """What one block of lanes leaves behind, rows in the integrator's node order."""
 
     state: State
-    watch: NDArray[Any]
+    limited: NDArray[np.int64]
+    diverged_step: NDArray[Any]
     frames: NDArray[Any] | None
 
 
@@ -210,15 +216,15 @@ def _run_block(
     frames = None
     if record_every is not None:
         frames = rows((n_steps // record_every + 1) * 2 * system.n_nodes, tag)
-    watch = rows(2, tag)
+    watch, counts = rows(2, tag), np.zeros(tag.width, np.int64)
     watch[1] = -1.0
     muscles, work = _muscles(system, block, ticks), method.workspace(tag, state)
     ahead, max_speed = tag.dtype.type(method.ahead), tag.dtype.type(physics.max_speed)
     advance(
-        tag, method.constants, method.floor, method.friction, muscles, state, rest, work, watch, frames,
-        record_every or 1, n_steps, ahead, max_speed,
+        tag, method.constants, method.floor, method.friction, muscles, state, rest, work, watch, counts,
+        frames, record_every or 1, n_steps, ahead, max_speed,
     )  # fmt: skip
-    return _Outcome(state, watch, frames)
+    return _Outcome(state, counts, watch[1], frames)
 
 
 def _muscles(system: System, block: _Block, ticks: NDArray[Any]) -> Muscles | None:
@@ -234,12 +240,27 @@ def _muscles(system: System, block: _Block, ticks: NDArray[Any]) -> Muscles | No
 
 @kernel
 def advance(
-    tag, constants, floor, friction, muscles, state, rest, work, watch, frames, record_every, n_steps, ahead, max_speed
+    tag,
+    constants,
+    floor,
+    friction,
+    muscles,
+    state,
+    rest,
+    work,
+    watch,
+    counts,
+    frames,
+    record_every,
+    n_steps,
+    ahead,
+    max_speed,
 ):
     """Run one block of lanes through all steps.
 
-    Written in place: `state`, `rest`, `work`; ``watch (2, width)``: node-steps limited, and the step at which a lane
-    was found diverged (-1: never); ``frames (n_frames 2 n_nodes, width)``: x and y of each node, or None.
+    Written in place: `state`, `rest`, `work`; ``watch (2, width)``: node-steps limited since the last look, and the
+    step at which a lane was found diverged (-1: never); ``counts (width,)``: node-steps limited in all;
+    ``frames (n_frames 2 n_nodes, width)``: x and y of each node, or None.
     """
     if frames is not None:
         _record(tag, state, 0.0 * ahead, frames, 0)
@@ -251,7 +272,18 @@ def advance(
         look = (n + 1) % WATCH_EVERY == 0 or n + 1 == n_steps
         if look and _all_diverged(tag, state, watch, n + 1, max_speed):
             break
+        if look:
+            _tally(watch, counts)
+    _tally(watch, counts)
     _drift(tag, state, -ahead)
+
+
+@kernel
+def _tally(watch, counts):
+    """Move the node-steps limited since the last look into whole numbers: float32 counts to 2^24 only."""
+    for lane in range(len(counts)):
+        counts[lane] += int(watch[0, lane])
+        watch[0, lane] = 0.0
 
 
 @kernel
@@ -292,9 +324,8 @@ def _read_off(
     node_row = np.argsort(method.node_order)
     x, y = (np.concatenate([getattr(o.state, name) for o in outcomes], axis=1)[node_row, :n_trials].astype(np.float64)
             for name in ("x", "y"))  # fmt: skip
-    limited, step_found = (
-        np.concatenate([o.watch[row] for o in outcomes])[:n_trials].astype(np.int64) for row in (0, 1)
-    )
+    limited = np.concatenate([o.limited for o in outcomes])[:n_trials]
+    step_found = np.concatenate([o.diverged_step for o in outcomes])[:n_trials].astype(np.int64)
     diverged = step_found >= 0
     place = _mean(x[body.center]) - _mean(system.position[body.center, 0])
     inverted = body.inversions(np.stack([x, y], axis=1)) if len(body.cells) else np.zeros(n_trials, np.int64)

@@ -12,7 +12,7 @@ import numba
 import pyarrow as pa
 
 from wobblesim.config import ConfigError, SweepConfig, columns, dump, load_config
-from wobblesim.learning.run import Epoch, Learner, Setup
+from wobblesim.learning.run import Learner, Setup
 from wobblesim.physics.simulate import Trials, simulate
 from wobblesim.study import resume
 from wobblesim.study.plan import Group, Study, group_size, groups, lane_steps, study
@@ -201,7 +201,7 @@ class _Sweep:
     def _learner(self, group: Group, log: Log) -> tuple[Learner, float]:
         """The learner of a group, from its checkpoint if it has one, and the seconds spent on it so far."""
         setup = self.setups[group.condition]
-        checkpoint = resume.load(self.store.folder, group)
+        checkpoint = resume.load(self.store.folder, group, self._identity(group))
         try:
             if checkpoint is None:
                 return Learner(setup, group.seeds, self.threads, simulate=self.simulate), 0.0
@@ -224,13 +224,15 @@ class _Sweep:
         log.add(epoch)
         self.meter.epoch = learner.epoch
         work = lane_steps(learner.setup, epoch.epoch) - lane_steps(learner.setup, learner.epoch)
-        self.meter.count(len(learner.seeds) * work, _new_divergences(epoch))
+        self.meter.count(len(learner.seeds) * work, int((epoch.status == "diverged").sum()))
         self.meter.tell("epoch")
 
     def _save(self, group: Group, learner: Learner, log: Log, seconds: float) -> None:
-        condition = resume.identity(self.store.manifest.conditions[group.condition])
         part = log.cut()
-        resume.save(self.store.folder, group, condition, learner.snapshot(), part, log.parts, seconds)
+        resume.save(self.store.folder, group, self._identity(group), learner.snapshot(), part, log.parts, seconds)
+
+    def _identity(self, group: Group) -> str:
+        return resume.identity(self.store.manifest.conditions[group.condition])
 
     def _commit(self, group: Group, log: Log, seconds: float) -> None:
         """Store the runs of a group that are not there yet."""
@@ -252,10 +254,6 @@ class _Sweep:
         setup = self.setups[group.condition]
         self.meter.skip(len(group.seeds) * lane_steps(setup, self.meter.epoch))
         self.meter.fail(len(missing), f"{group}: failed in epoch {self.meter.epoch}: {_one_line(error)}")
-
-
-def _new_divergences(epoch: Epoch) -> int:
-    return int(((epoch.status == "diverged") & ~epoch.reused).sum())
 
 
 def _failed(tables: dict[str, pa.Table]) -> bool:

@@ -105,7 +105,9 @@ def save(
 
 
 def _place(folder: Path, group: Group) -> Path:
-    return folder / CHECKPOINTS / f"condition={group.condition}" / f"seeds-{group.seeds[0]}-{len(group.seeds)}"
+    """A folder of the group's own: two groups may begin with the same seed and be of one size."""
+    digest = hashlib.sha256(str(group.seeds).encode()).hexdigest()[:8]
+    return folder / CHECKPOINTS / f"condition={group.condition}" / f"seeds-{group.seeds[0]}-{len(group.seeds)}-{digest}"
 
 
 def _write(path: Path, folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -116,11 +118,13 @@ def _write(path: Path, folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
     write_atomically(path, folder / SCRATCH, write)
 
 
-def load(folder: Path, group: Group) -> Checkpoint | None:
-    """Where a group stands; None if it has no checkpoint that can be read."""
+def load(folder: Path, group: Group, identity: str) -> Checkpoint | None:
+    """Where a group of this condition stands; None if it has no checkpoint that can be read, or only another's."""
     place = _place(folder, group)
     try:
         state = _read(place / "state.npz")
+        if tuple(state["seeds"].tolist()) != group.seeds or str(state["identity"]) != identity:
+            return None
         parts = [_read(place / f"part-{number}.npz") for number in range(int(state["parts"]))]
         snapshot = {name.removeprefix(LEARNER): array for name, array in state.items() if name.startswith(LEARNER)}
         return Checkpoint(group, snapshot, parts, float(state["seconds"]))
@@ -185,7 +189,11 @@ def standing(folder: Path, condition: str) -> list[Head]:
 
 def sweep_up(folder: Path) -> list[str]:
     """Remove checkpoints that cannot be read, and name them: their runs start anew."""
-    unreadable = [place for place in _places(folder) if not (head := _head(place)) or load(folder, head.group) is None]
+    unreadable = [
+        place
+        for place in _places(folder)
+        if not (head := _head(place)) or load(folder, head.group, head.identity) is None
+    ]
     for place in unreadable:
         shutil.rmtree(place, ignore_errors=True)
     return [f"the checkpoint {place} cannot be read: its runs start anew" for place in unreadable]

@@ -3,10 +3,10 @@
     config.yaml  manifest.jsonl  .lock  checkpoints/  .scratch/
     runs/ epochs/ trials/ behaviours/        condition=<id>/seed-<n>.parquet
 
-A file is written beside the datasets, closed, read back, flushed to the disk (fsync) and only then moved to its place
-(`os.replace`); when all files of a run are in place, one flushed line of the manifest makes them a result. Whatever
-dies in between leaves files that nothing refers to, and the run is computed again. The datasets hold Parquet files
-only, so that other programs can open the folders as they are.
+A file is written beside the datasets, closed, its footer read back, flushed to the disk (fsync) and only then moved to
+its place (`os.replace`); when all files of a run are in place, one flushed line of the manifest makes them a result.
+Whatever dies in between leaves files that nothing refers to, and the run is computed again. The datasets hold Parquet
+files only, so that other programs can open the folders as they are.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import json
 import os
 import shutil
 import socket
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -31,6 +32,9 @@ from wobblesim.study.provenance import kernel_hash, provenance
 from wobblesim.study.schema import SCHEMA_VERSION, encodings, flat
 
 CHECKPOINTS, SCRATCH, MANIFEST, LOCK, CONFIG = "checkpoints", ".scratch", "manifest.jsonl", ".lock", "config.yaml"
+
+LOCK_PATIENCE = 0.5
+"""s to wait for a lock: a second writer is refused within a second."""
 
 RunKey = tuple[str, int]
 """A condition's id and a seed."""
@@ -396,7 +400,7 @@ def _unwritable(folder: Path, error: OSError | ValueError) -> StoreError:
 
 def _take_lock(folder: Path, lock: TextIO) -> None:
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock_within(lock, LOCK_PATIENCE)
     except BlockingIOError:
         raise StoreError(
             f"{folder} is in use by {_holder(lock)}; wait for it to end or choose another folder with --out"
@@ -406,6 +410,18 @@ def _take_lock(folder: Path, lock: TextIO) -> None:
     lock.truncate(0)
     lock.write(f"process {os.getpid()} on {socket.gethostname()}")
     lock.flush()
+
+
+def _lock_within(lock: TextIO, seconds: float) -> None:
+    """Lock a file, also if somebody who asks who holds it holds it for an instant."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
 
 
 def _holder(lock: TextIO) -> str:
