@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite import binding
 
 from wobblesim.physics.kernels import available_threads
 from wobblesim.physics.registry import INTEGRATORS
@@ -19,6 +19,7 @@ from wobblesim.physics.simulate import simulate
 from wobblesim.robot.body import Body
 from wobblesim.robot.gait import Gait
 from wobblesim.robot.starfish import starfish
+from wobblesim.study.provenance import cpu
 
 # A full run of the paper: epochs x behaviours x seconds.
 FULL_RUN_SECONDS = 4000 * 20 * 60.0
@@ -94,7 +95,6 @@ def _rate(body: Body, physics: Physics, *, width: int, lanes: int, threads: int,
     behaviours = np.random.default_rng(0).random((lanes, 2 * body.n_groups))
 
     def run(n_steps: int) -> float:
-        # the mean of a run starts with a second of settling on the floor
         return _time(
             lambda: simulate(
                 body,
@@ -122,19 +122,9 @@ def _time(work: Callable[[], Any]) -> float:
 def conditions() -> dict[str, str]:
     """The machine and the versions that a figure was measured with."""
     return {
-        "cpu": _cpu_name(),
+        "cpu": f"{cpu()} ({binding.get_host_cpu_name()})",
         "cores": str(available_threads()),
         "system": platform.system(),
         "python": platform.python_version(),
         **{name: version(name) for name in ("numba", "llvmlite", "numpy")},
     }
-
-
-def _cpu_name() -> str:
-    """The processor as the compiler sees it: that decides the code."""
-    from llvmlite import binding
-
-    info = Path("/proc/cpuinfo")
-    names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")] \
-        if info.exists() else []  # fmt: skip
-    return f"{names[0] if names else platform.processor()} ({binding.get_host_cpu_name()})"

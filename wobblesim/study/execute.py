@@ -8,11 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import pyarrow as pa
 
 from wobblesim.config import ConfigError, SweepConfig, columns, dump, load_config
 from wobblesim.learning.run import Learner, Setup
+from wobblesim.physics.kernels import available_threads
 from wobblesim.physics.simulate import Trials, simulate
 from wobblesim.study import resume
 from wobblesim.study.plan import Group, Study, group_size, groups, lane_steps, study
@@ -99,7 +99,7 @@ def sweep(
         store.declare(laid_out.written)
         store.write_config(dump(_with_stored_seeds(config, store.folder)))
         notes = [*store.manifest.unreadable, *store.lost, *resume.sweep_up(store.folder)]
-        todo = _todo(store, laid_out, group_size(threads or _all_threads()))
+        todo = _todo(store, laid_out, group_size(threads or available_threads()))
         meter = _meter(store, laid_out, todo, setups, progress or (lambda _: None))
         work = _Sweep(store, laid_out, setups, meter, threads, stop or (lambda: False), checkpoint_every, simulate)
         stopped = work.run(todo, notes)
@@ -138,11 +138,6 @@ def _meter(
         failed=sum(run["status"] == "failed" for run in stored),
         work=sum(len(group.seeds) * lane_steps(setups[group.condition]) for group in todo),
     )
-
-
-def _all_threads() -> int:
-    """Threads that `simulate` uses if not told otherwise."""
-    return numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]  # numba sets its attributes at run time
 
 
 class _Failed(Exception):  # noqa: N818 - it is not the error, it carries it

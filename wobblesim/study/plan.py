@@ -21,12 +21,10 @@ from wobblesim.robot.body import Body
 from wobblesim.robot.gait import Gait
 from wobblesim.robot.morphology import Morphology
 from wobblesim.robot.starfish import starfish
+from wobblesim.study.store import RunKey
 
 LANES_OF_A_BLOCK = 16
 """Lanes that the physics takes at a time in float32, twice those in float64."""
-
-RunKey = tuple[str, int]
-"""A condition's id and a seed."""
 
 
 class PlanError(Exception):

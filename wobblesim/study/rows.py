@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow as pa
 
 from wobblesim.learning.run import Epoch
+from wobblesim.learning.wobble import DIMENSIONS
 from wobblesim.study.schema import TABLES_OF_LOG, table
 
 Columns = dict[str, np.ndarray]
 
-FACTORS = ("mass", "stiffness", "size", "gravity")
 OF_TRIALS = ("parent", "performance", "status", "limited", "diverged_at", "reused")
 
 
@@ -78,7 +78,7 @@ def _epoch_columns(epoch: Epoch) -> Columns:
     performance = epoch.performance
     known = np.isfinite(performance)
     counts = {status: (epoch.status == status).sum(axis=1) for status in ("ok", "limited", "diverged")}
-    factors = {name: np.full(seeds, getattr(epoch.morphology, name)) for name in FACTORS}
+    factors = {name: np.full(seeds, getattr(epoch.morphology, name)) for name in DIMENSIONS}
     total = np.where(known, performance, 0.0).sum(axis=1)
     return {
         "epoch": np.full(seeds, epoch.epoch),
