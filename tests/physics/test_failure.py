@@ -118,3 +118,16 @@ def test_counts_that_mean_nothing_are_refused(options):
 def test_no_behaviours_are_refused():
     with pytest.raises(ValueError, match="at least one"):
         ws.simulate(triangle(), np.zeros((0, 2 * triangle().n_groups)), duration=0.1)
+
+
+def test_what_a_diverged_lane_has_counted_does_not_depend_on_its_neighbours():
+    # Fast motors from which moves are cut before and after the divergence is found; the neighbour lies still.
+    body, behaviours = triangle(), random_behaviours(3, 2, 2)
+    behaviours[0, :2] = 40.0
+    behaviours[1, :2] = 0.0
+    options = {"duration": 1.0, "physics": physics("impulse", max_speed=300.0)}
+    alone = ws.simulate(body, behaviours[:1], **options)
+    batch = ws.simulate(body, behaviours, **options)
+    assert list(batch.status) == ["diverged", "ok"]
+    assert alone.limited[0] == batch.limited[0] > 0
+    assert alone.diverged_at[0] == batch.diverged_at[0]

@@ -132,7 +132,7 @@ def simulate(
 
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Threads that wait for the next call: starting two takes 2 ms, as long as 60 steps of a block."""
+    """Threads that wait for the next call: starting two takes 2 ms, as long as 200 steps of a block."""
     return ThreadPoolExecutor(threads, thread_name_prefix="wobblesim")
 
 
@@ -269,20 +269,22 @@ def advance(
         step(tag, constants, floor, friction, muscles, state, rest, watch, work, n)
         if frames is not None and (n + 1) % record_every == 0:
             _record(tag, state, ahead, frames, (n + 1) // record_every)
-        look = (n + 1) % WATCH_EVERY == 0 or n + 1 == n_steps
-        if look and _all_diverged(tag, state, watch, n + 1, max_speed):
-            break
-        if look:
+        if (n + 1) % WATCH_EVERY == 0 or n + 1 == n_steps:
             _tally(watch, counts)
-    _tally(watch, counts)
+            if _all_diverged(tag, state, watch, n + 1, max_speed):
+                break
     _drift(tag, state, -ahead)
 
 
 @kernel
 def _tally(watch, counts):
-    """Move the node-steps limited since the last look into whole numbers: float32 counts to 2^24 only."""
+    """Move the node-steps limited since the last look into whole numbers: float32 counts to 2^24 only.
+
+    A lane found diverged counts no further: how long its block still runs is its neighbours' affair.
+    """
     for lane in range(len(counts)):
-        counts[lane] += int(watch[0, lane])
+        if watch[1, lane] < 0:
+            counts[lane] += int(watch[0, lane])
         watch[0, lane] = 0.0
 
 
