@@ -92,6 +92,13 @@ def test_the_summary_pairs_runs_by_seed(results):
     assert fixed["mean"] == pytest.approx(runs["fixed"].mean())
 
 
+def test_the_summary_counts_the_trials_of_each_status(results):
+    runs, rows = results.runs().groupby("condition", observed=True), summary(results).set_index("condition")
+    for name in ("trials", "diverged", "refined", "limited"):
+        assert rows[name].to_dict() == runs[name].sum().to_dict()
+    assert (rows[["diverged", "refined"]] > 0).all(axis=None)
+
+
 def test_a_failed_run_is_counted_and_left_out_of_mean_and_pairs(tmp_path):
     def fails_when_wobbled_low(body, behaviours, *, morphology, **settings):
         trials = toy(body, behaviours, morphology=morphology, **settings)

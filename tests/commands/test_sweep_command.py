@@ -261,7 +261,7 @@ def test_status_counts_wanted_done_and_missing():
     call("sweep", "three.yaml", "--seeds", "0..2")
     found = call("status", "results/three")
     assert found.exit_code == 0
-    assert re.search(r"fixed +3 +3 +0 +0 +0\n", found.stdout)
+    assert re.search(r"fixed +3 +3 +0 +0 +0 +0\n", found.stdout)
     assert found.stdout.endswith("nobody is writing\n")
 
 
@@ -289,7 +289,7 @@ def test_plain_lines_come_at_least_as_often_as_promised(capsys):
         time.sleep(0.3)
     said = capsys.readouterr().err.splitlines()
     assert len(said) >= 3
-    assert set(said) == {"fixed, seeds 0..3, epoch 7 of 50: 1 of 4 runs done, 0 failed, 0 trials diverged"}
+    assert set(said) == {"fixed, seeds 0..3, epoch 7 of 50: 1 of 4 runs done, 0 failed, 0 trials diverged, 0 refined"}
 
 
 @pytest.mark.parametrize(

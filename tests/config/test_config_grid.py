@@ -86,7 +86,7 @@ def test_a_condition_changes_only_what_it_says() -> None:
     (slow,) = expand(parse_config(text))
     base = parse_config(BASE).parameters
     assert slow.parameters.wobble == base.wobble.model_copy(update={"period": 100.0})  # type: ignore[union-attr]
-    assert slow.parameters.scene.floor.stiffness == 20_000  # type: ignore[union-attr]
+    assert slow.parameters.scene.floor.stiffness == 10_000  # type: ignore[union-attr]
     assert slow.parameters.physics == base.physics
 
 

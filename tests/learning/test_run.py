@@ -37,9 +37,17 @@ def setup(wobble: Wobble | None = None, epochs: int = 30, **search: Any) -> Setu
     return Setup(BODY, Scene(), Physics(), Gait(), duration=2.0, search=Search(**search), wobble=wobble, epochs=epochs)
 
 
-def trials(displacement: Any, status: Any = "ok", limited: Any = 0, diverged_at: Any = math.nan) -> Trials:
+def trials(
+    displacement: Any,
+    status: Any = "ok",
+    dt: Any = 0.01,
+    bound: Any = "",
+    limited: Any = 0,
+    diverged_at: Any = math.nan,
+) -> Trials:
     """Outcomes made up, the same for all trials where a scalar is given."""
-    each = (np.broadcast_to(value, np.shape(displacement)) for value in (status, limited, diverged_at, 0))
+    given = (status, dt, bound, limited, diverged_at, 0)
+    each = (np.broadcast_to(value, np.shape(displacement)) for value in given)
     return Trials(np.asarray(displacement, dtype=float), *each, positions=None)
 
 
@@ -96,7 +104,7 @@ def all_bits(epochs: list[Epoch], seed=slice(None), without: tuple[str, ...] = (
 def test_an_epoch_has_the_shapes_it_states():
     for epoch in learn(setup(MASS, epochs=3), seeds=[5, 6]):
         assert epoch.behaviours.shape == (2, 20, 4)
-        for name in ("performance", "status", "limited", "diverged_at", "reused", "parent"):
+        for name in ("performance", "status", "dt", "bound", "limited", "diverged_at", "reused", "parent"):
             assert getattr(epoch, name).shape == (2, 20), name
         for name in ("best", "path", "path_before", "step_distance"):
             assert getattr(epoch, name).shape == (2,), name

@@ -30,7 +30,7 @@ def simulate_one(body, behaviour, *, gravity, floor, gait, dt, steps, theta=0.6)
         impulse = dt * np.asarray(body.mass)[:, None] * np.asarray(gravity)
         add_springs(body, dashpots, middle, v, rest, dt, theta, matrix, impulse)
         if floor is not None:
-            add_floor(body, middle, v, anchor, floor, dt, theta, matrix, impulse)
+            add_floor(body, middle, v, anchor, floor, dt, matrix, impulse)
         change = np.zeros(2 * len(x))
         change[free] = np.linalg.solve(matrix[np.ix_(free, free)], impulse.ravel()[free])
         change = change.reshape(-1, 2)
@@ -54,32 +54,44 @@ def add_springs(body, dashpots, middle, v, rest, h, theta, matrix, impulse) -> N
         matrix[rows[:, None], rows] += (h * c / 2 + theta * h * h / 2 * k) * np.outer(stretch, stretch)
 
 
-def add_floor(body, middle, v, anchor, floor, h, theta, matrix, impulse) -> None:
-    """Normal and tangential force of each pressing node, both implicit on the diagonal; moves the anchors.
+def add_floor(body, middle, v, anchor, floor, h, matrix, impulse) -> None:
+    """Impulse of the floor on each pressing node and what it changes on the diagonal; moves the anchors.
 
-    The dashpots are bounded, so that what a step takes from the velocity stays in proportion to it.
+    A node crosses the floor's surface within the step, at the speed it has. The force is its mean over the time that
+    it presses; dashpots are bounded, so that what a step takes from the velocity stays in proportion to it.
     """
     for node in np.flatnonzero(~np.asarray(body.fixed)):
         m, mu, k = body.mass[node], body.friction[node], contact_stiffness(body, node, floor)
         c_n = min(2 * contact_damping_ratio(floor.restitution) * np.sqrt(k * m), 2 * m / h)
-        depth = -middle[node, 1]
-        normal = max(0.0, k * depth - c_n * v[node, 1]) if depth > 0 else 0.0
-        if normal == 0:
+        begin, end = pressing_time(middle[node, 1], v[node, 1], c_n / k, h)
+        if begin == end:
             anchor[node] = np.nan  # in the air
             continue
+        time, centre = end - begin, (begin + end) / 2 - h / 2  # from the middle of the step
+        x, y = middle[node] + centre * v[node]
+        normal = -k * y - c_n * v[node, 1]
         if np.isnan(anchor[node]):
-            anchor[node] = middle[node, 0]  # where the node first presses
-        impulse[node, 1] += h * normal
-        matrix[2 * node + 1, 2 * node + 1] += h / 2 * c_n + theta * h * h / 2 * k
+            anchor[node] = middle[node, 0] + (begin - h / 2) * v[node, 0]  # where the node first presses
+        impulse[node, 1] += time * normal
+        matrix[2 * node + 1, 2 * node + 1] += time / 2 * (c_n + h / 2 * k)
         if mu == 0:
             continue
         c_t = min(2 * TANGENTIAL_DAMPING_RATIO * np.sqrt(k * m), m / h)
-        tangent = k * (anchor[node] - middle[node, 0]) - c_t * v[node, 0]
+        tangent = k * (anchor[node] - x) - c_t * v[node, 0]
         limit = mu * normal
         if abs(tangent) <= limit:
-            impulse[node, 0] += h * tangent
-            matrix[2 * node, 2 * node] += h / 2 * c_t + theta * h * h / 2 * k
+            impulse[node, 0] += time * tangent
+            matrix[2 * node, 2 * node] += time / 2 * (c_t + h / 2 * k)
         else:
             tangent = np.copysign(limit, tangent)
-            impulse[node, 0] += h * tangent
-            anchor[node] = middle[node, 0] + (tangent + c_t * v[node, 0]) / k
+            impulse[node, 0] += time * tangent
+            anchor[node] = x + (tangent + c_t * v[node, 0]) / k
+
+
+def pressing_time(middle, speed, relaxation, h) -> tuple[float, float]:
+    """When in a step [0, h] a node at height ``middle + speed (t - h/2)`` feels a push, k p - c p' > 0 and p > 0."""
+    surface = min(0.0, -relaxation * speed)
+    if speed == 0:
+        return (0.0, h) if middle < surface else (0.0, 0.0)
+    crossing = min(max(h / 2 + (surface - middle) / speed, 0.0), h)
+    return (crossing, h) if speed < 0 else (0.0, crossing)

@@ -35,7 +35,7 @@ def test_the_rows_of_trials_are_what_the_learner_tried(results, epochs):
     trials = of_seed_2(results.trials())
     assert trials["epoch"].tolist() == [epoch for epoch in range(12) for _ in range(20)]
     assert trials["slot"].tolist() == list(range(20)) * 12
-    for name in ("performance", "diverged_at", "parent", "reused", "status", "limited"):
+    for name in ("performance", "diverged_at", "parent", "reused", "status", "dt", "bound", "limited"):
         learned = np.concatenate([getattr(epoch, name)[0] for epoch in epochs])
         assert trials[name].to_numpy().astype(learned.dtype).tobytes() == learned.tobytes(), name
 
@@ -50,9 +50,10 @@ def test_the_rows_of_epochs_sum_up_their_trials(results):
     by_epoch = trials.groupby("epoch")
     assert np.array_equal(rows["best"], by_epoch["performance"].max())
     assert rows["mean"].to_numpy() == pytest.approx(by_epoch["performance"].mean(), rel=1e-14)
-    assert np.array_equal(rows["diverged"], by_epoch["status"].agg(lambda status: (status == "diverged").sum()))
+    for name in ("ok", "limited", "refined", "diverged"):
+        assert np.array_equal(rows[name], by_epoch["status"].agg(lambda status, name=name: (status == name).sum()))
     assert np.array_equal(rows["reused"], by_epoch["reused"].sum())
-    assert (rows[["ok", "limited", "diverged"]].sum(axis=1) == 20).all()
+    assert (rows[["ok", "limited", "refined", "diverged"]].sum(axis=1) == 20).all()
 
 
 def test_the_epochs_say_which_robot_tried(results):
@@ -70,7 +71,8 @@ def test_a_run_is_the_best_of_its_last_epoch_and_the_sums_of_its_epochs(results,
     assert run["path_before"] == last.path_before[0]
     assert run["path_before"] + run["path_after"] == pytest.approx(last.path[0], rel=1e-15)
     assert (run["epochs"], run["trials"], run["status"]) == (12, 240, "ok")
-    assert run["diverged"] == sum((epoch.status == "diverged").sum() for epoch in epochs) > 0
+    for name in ("diverged", "refined"):
+        assert run[name] == sum((epoch.status == name).sum() for epoch in epochs) > 0
     assert run["reused"] == sum(epoch.reused.sum() for epoch in epochs)
     assert run["wobble.dimension"] == "mass"
 
@@ -87,6 +89,18 @@ def test_a_diverged_trial_is_a_row_with_status_and_time_and_no_score(results):
     assert diverged["performance"].isna().all()
     assert (diverged["diverged_at"] == 1.25).all()
     assert trials[trials["status"] == "ok"]["performance"].notna().all()
+
+
+def test_a_refined_trial_is_a_row_with_a_score_its_step_and_the_bound_it_left(results):
+    trials = results.trials("status", "performance", "dt", "bound")
+    refined = trials[trials["status"] == "refined"]
+    assert 0 < len(refined) < len(trials)
+    assert refined["performance"].notna().all()
+    assert set(zip(trials["status"], trials["dt"], trials["bound"], strict=True)) == {
+        ("ok", 0.01, ""),
+        ("refined", 0.0025, "strain"),
+        ("diverged", 0.00125, "energy"),
+    }
 
 
 @pytest.mark.parametrize(("log", "tables"), [("epochs", 2), ("trials", 3), ("behaviours", 4)])

@@ -32,17 +32,19 @@ def study(*settings: str, seeds: str | None = None) -> SweepConfig:
 
 
 def toy(body: Any, behaviours: np.ndarray, *, morphology: Any, **_: Any) -> Trials:
-    """A smooth function of the behaviour and of the mass; one in twelve or so diverges."""
+    """A smooth function of the behaviour and of the mass; one in twelve or so diverges, and as many are refined."""
     half = behaviours.shape[1] // 2
     place = (behaviours[:, :half] * np.cos(2 * np.pi * behaviours[:, half:])).sum(axis=1) * morphology.mass
-    return outcome(place, diverged=behaviours[:, 0] > 0.92)
+    return outcome(place, diverged=behaviours[:, 0] > 0.92, refined=behaviours[:, 0] < 0.08)
 
 
-def outcome(place: np.ndarray, diverged: np.ndarray) -> Trials:
-    """Trials that end at `place`, but for those that diverged."""
+def outcome(place: np.ndarray, diverged: np.ndarray, refined: np.ndarray | bool = False) -> Trials:
+    """Trials that end at `place`, some after two halvings of the step, but for those that diverged."""
     return Trials(
         displacement=np.where(diverged, np.nan, place),
-        status=np.where(diverged, "diverged", "ok"),
+        status=np.where(diverged, "diverged", np.where(refined, "refined", "ok")),
+        dt=np.where(diverged, 0.00125, np.where(refined, 0.0025, 0.01)),
+        bound=np.where(diverged, "energy", np.where(refined, "strain", "")),
         limited=np.zeros(len(place), dtype=np.int64),
         diverged_at=np.where(diverged, 1.25, np.nan),
         inverted=np.zeros(len(place), dtype=np.int64),

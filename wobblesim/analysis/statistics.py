@@ -61,6 +61,7 @@ SUMMARIZED = (
     "path_before",
     "path_after",
     "diverged",
+    "refined",
     "limited",
     "trials",
 )
@@ -71,9 +72,9 @@ def summary(results: Results) -> pd.DataFrame:
 
     Columns: ``condition``; ``runs``; ``excluded``, those without a score; ``mean``, ``half_width`` (of the 99 %
     interval) and ``median`` of the performance in body lengths; ``path_before`` and ``path_after``, mean search
-    distances up to and after the end of the wobble, with half widths; ``trials``, and how many ``diverged`` and were
-    ``limited``; ``difference``: performance minus that of the `baseline` with the same seed, its mean over the
-    ``pairs``, and the half width. Everything else of an excluded run still counts.
+    distances up to and after the end of the wobble, with half widths; ``trials``, and how many ``diverged``, were
+    ``refined`` and were ``limited``; ``difference``: performance minus that of the `baseline` with the same seed, its
+    mean over the ``pairs``, and the half width. Everything else of an excluded run still counts.
     """
     runs = results.runs(*SUMMARIZED)
     performance = runs.pivot(index="seed", columns="condition", values="performance")
@@ -97,7 +98,7 @@ def _row(runs: pd.DataFrame) -> dict[str, float]:
         "median": float(runs["performance"].median()),
         **_named("path_before", runs["path_before"].to_numpy()),
         **_named("path_after", runs["path_after"].to_numpy()),
-        **{name: int(runs[name].sum()) for name in ("trials", "diverged", "limited")},
+        **{name: int(runs[name].sum()) for name in ("trials", "diverged", "refined", "limited")},
     }
 
 

@@ -13,7 +13,11 @@ COMMANDS = {
     "status": "wobblesim.commands.status",
     "plot": "wobblesim.commands.plot",
     "check": "wobblesim.commands.check",
+    "accuracy": "wobblesim.commands.accuracy",
+    "stability": "wobblesim.commands.stability",
+    "explain": "wobblesim.commands.explain",
     "bench": "wobblesim.commands.bench",
+    "warmup": "wobblesim.commands.warmup",
 }
 """Where each command lives: a module with a `command`."""
 

@@ -148,7 +148,7 @@ def where(progress: Progress) -> str:
     if progress.kind == "begin" and progress.present:
         parts[0] += " before"
     parts.append(f"{progress.failed} failed")
-    parts.append(f"{plural(progress.diverged, 'trial')} diverged")
+    parts.append(f"{plural(progress.diverged, 'trial')} diverged, {progress.refined:,} refined")
     if progress.remaining is not None and progress.kind != "end":
         parts.append(f"{duration(progress.remaining)} left")
     return ", ".join(parts)

@@ -32,9 +32,10 @@ def command(folder: Path, as_json: bool) -> None:
     if as_json:
         echo_json({"results": str(folder), "writer": writer, "conditions": rows, "errors": errors})
         return
-    columns = ["wanted", "done", "failed", "missing", "diverged"]
+    columns = ["wanted", "done", "failed", "missing", "diverged", "refined"]
     cells = [[row["condition"], *(f"{row[name]:,}" for name in columns), row["in_progress"]] for row in rows]
-    print_table(table(["condition", "runs", "done", "failed", "missing", "trials diverged", "last checkpoint"], cells))
+    titles = ["runs", "done", "failed", "missing", "trials diverged", "refined", "last checkpoint"]
+    print_table(table(["condition", *titles], cells))
     for line in (*manifest.unreadable, *errors):
         click.echo(line, err=True)
     click.echo(f"being written by {writer}" if writer else "nobody is writing")
@@ -51,9 +52,10 @@ def _rows(folder: Path, manifest: Manifest) -> list[dict[str, Any]]:
     done = Counter(condition for condition, _ in manifest.runs)
     failed = Counter(condition for (condition, _), run in manifest.runs.items() if run["status"] == "failed")
     failed += Counter(condition for condition, _ in manifest.failures)
-    diverged: Counter[str] = Counter()
+    diverged, refined = Counter[str](), Counter[str]()
     for (condition, _), run in manifest.runs.items():
         diverged[condition] += run["diverged"]
+        refined[condition] += run["refined"]
     return [
         {
             "condition": condition,
@@ -62,6 +64,7 @@ def _rows(folder: Path, manifest: Manifest) -> list[dict[str, Any]]:
             "failed": failed[condition],
             "missing": wanted_by[condition] - done[condition],
             "diverged": diverged[condition],
+            "refined": refined[condition],
             "in_progress": _in_progress(folder, condition),
         }
         for condition in manifest.conditions

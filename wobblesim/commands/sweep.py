@@ -164,13 +164,13 @@ def draw(folder: Path, path: Path | None = None) -> Path:
 def print_summary(found: pd.DataFrame, reference: str) -> None:
     """Print one row a condition."""
     columns = [
-        "condition", "runs", "body lengths", "median", "path before", "path after", "diverged", "limited",
-        f"minus {reference}",
+        "condition", "runs", "body lengths", "median", "path before", "path after", "diverged", "refined",
+        "limited", f"minus {reference}",
     ]  # fmt: skip
     made = table(columns, [_cells(row) for row in found.to_dict("records")])
     made.caption = (
         "± 99 % confidence of the mean; path: search distance before and after the end of the wobble;\n"
-        f"diverged, limited: trials; minus {reference}: mean difference of runs with the same seed"
+        f"diverged, refined, limited: trials; minus {reference}: mean difference of runs with the same seed"
     )
     made.caption_justify = "left"
     print_table(made)
@@ -185,8 +185,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
         _number(row["median"]),
         _interval(row["path_before"], row["path_before_half_width"], digits=2),
         _interval(row["path_after"], row["path_after_half_width"], digits=2),
-        f"{row['diverged']:,}",
-        f"{row['limited']:,}",
+        *(f"{row[status]:,}" for status in ("diverged", "refined", "limited")),
         _interval(row["difference"], row["difference_half_width"], sign="+"),
     ]
 

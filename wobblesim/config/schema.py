@@ -214,7 +214,7 @@ class FloorSettings(Section, frozen=True):
         1.0, "Speed below which a node does not rebound; for impulse only", "u/s", ge=0, le=1e6
     )
     stiffness: Real = number(
-        20_000.0, "Stiffness of a contact, per unit of node mass; not for impulse", "1/s²", gt=0, le=1e9
+        10_000.0, "Stiffness of a contact, per unit of node mass; not for impulse", "1/s²", gt=0, le=1e9
     )
 
 
@@ -254,13 +254,32 @@ class PhysicsSettings(Section, frozen=True):
         default="midpoint",
         description="Integrator: midpoint (default), impulse (the paper's engine) or explicit (RK4).",
     )
-    dt: Real = number(0.01, "Time step", "s", gt=0, le=1)
+    dt: Real = number(0.02, "Time step", "s", gt=0, le=1)
     precision: Literal["float32", "float64"] = Field(
         default="float32", description="Floating-point type of the simulation."
     )
     iterations: Whole = number(5, "Solver iterations a step, for impulse only", ge=1, le=1000)
     theta: Real = number(0.6, "Weight of the new position in the springs' forces, for midpoint only", ge=0.5, le=1)
-    max_speed: Real = number(1e4, "Speed beyond which a trial counts as diverged", "u/s", gt=0, le=1e9)
+    max_speed: Real | None = number(5e4, "Trusted bound on the speed of a node, null: no bound", "u/s", gt=0, le=1e9)
+    max_strain: Real | None = number(
+        20.0,
+        "Trusted bound on the strain of a spring (change of length over rest length), null: no bound",
+        gt=0,
+        le=1e9,
+    )
+    max_energy: Real | None = number(
+        20.0,
+        "Trusted bound on the energy gained since the start, over that of the robot's weight and muscles, "
+        "null: no bound",
+        gt=0,
+        le=1e9,
+    )
+    refinements: Whole = number(
+        3,
+        "How often a trial that leaves a bound is repeated with half the step before it counts as diverged",
+        ge=0,
+        le=10,
+    )
 
 
 class TrialSettings(Section, frozen=True):

@@ -27,8 +27,9 @@ from wobblesim.robot.body import Body
 Array = NDArray[Any]
 Dtype = np.dtype[Any]
 
-# Nodes closer than this (u) have no direction: 1/d stays finite, and u = (0, 0) where they coincide.
-CLOSEST = 1e-30
+# Nodes closer than this (u) lose their direction: u shrinks to (0, 0) where they coincide. Far above the distance whose
+# square underflows in float32 (1e-19).
+CLOSEST = 1e-15
 
 
 class State(NamedTuple):
@@ -59,24 +60,26 @@ class Muscles(NamedTuple):
 class System:
     """A body in a scene, as the arrays that every integrator needs (float64).
 
-    Springs between two fixed nodes are left out: they move nothing.
+    Springs between two fixed nodes, and those without stiffness, are left out: they move nothing. None stands for a
+    term that the scene does not have; it is compiled to nothing.
     """
 
     position: Array  # (n_nodes, 2) u
     velocity: Array  # (n_nodes, 2) u/s
     inverse_mass: Array  # (n_nodes,), 0 for a fixed node
     mass: Array  # (n_nodes,)
-    friction: Array  # (n_nodes,)
+    friction: Array | None  # (n_nodes,)
     springs: Array  # (n_springs, 2) int
     k: Array  # (n_springs,)
-    c: Array  # (n_springs,): 2 zeta sqrt(k m_r), m_r the reduced mass (a fixed node's mass is infinite)
+    c: Array | None  # (n_springs,): 2 zeta sqrt(k m_r), m_r the reduced mass (a fixed node's mass is infinite)
     rest_row: Array  # (n_springs,) int: row of the rest length
     rest: Array  # (n_rest,) u: rest lengths at signal 0
     muscle_row: Array  # (n_muscle_rows,) int
     muscle_group: Array  # (n_muscle_rows,) int
     muscle_sign: Array  # (n_muscle_rows,)
-    gravity: tuple[float, float]
+    gravity: tuple[float, float] | None
     floor: Floor | None
+    leave_out: bool  # whether terms without effect are left out, here and in the integrator
 
     @property
     def n_nodes(self) -> int:
@@ -84,11 +87,11 @@ class System:
         return len(self.position)
 
 
-def system_of(body: Body, scene: Scene, gravity_factor: float) -> System:
-    """The arrays of an adapted body in a scene."""
+def system_of(body: Body, scene: Scene, gravity_factor: float, leave_out: bool = True) -> System:
+    """The arrays of an adapted body in a scene; with `leave_out` only of the terms that do something."""
     free = ~body.fixed
     inverse_mass = np.where(free, 1.0 / body.mass, 0.0)
-    moves = free[body.springs].any(axis=1)
+    moves = free[body.springs].any(axis=1) & (body.stiffness > 0)
     springs, k, zeta = body.springs[moves], body.stiffness[moves], body.damping_ratio[moves]
     group, sign = np.full(body.n_springs, -1), np.zeros(body.n_springs)
     group[body.muscle_spring], sign[body.muscle_spring] = body.muscle_group, body.muscle_sign
@@ -96,23 +99,26 @@ def system_of(body: Body, scene: Scene, gravity_factor: float) -> System:
         np.stack([group[moves], sign[moves], body.rest_length[moves]], axis=1), axis=0, return_inverse=True
     )
     muscle_row = np.flatnonzero(kinds[:, 0] >= 0)
-    gx, gy = scene.gravity_vector
+    c = 2.0 * zeta * np.sqrt(k / inverse_mass[springs].sum(axis=1))
+    gravity = np.array(scene.gravity_vector) * gravity_factor
+    friction = body.friction if scene.floor else np.zeros(0)
     return System(
         position=body.position,
         velocity=np.where(free[:, None], body.velocity, 0.0),
         inverse_mass=inverse_mass,
         mass=body.mass,
-        friction=body.friction,
+        friction=friction if friction.any() or (scene.floor and not leave_out) else None,
         springs=springs,
         k=k,
-        c=2.0 * zeta * np.sqrt(k / inverse_mass[springs].sum(axis=1)),
+        c=c if c.any() or not leave_out else None,
         rest_row=rest_row.reshape(-1),
         rest=kinds[:, 2].copy(),
         muscle_row=muscle_row,
         muscle_group=kinds[muscle_row, 0].astype(np.int64),
         muscle_sign=kinds[muscle_row, 1].copy(),
-        gravity=(gx * gravity_factor, gy * gravity_factor),
+        gravity=tuple(gravity) if gravity.any() or not leave_out else None,
         floor=scene.floor,
+        leave_out=leave_out,
     )
 
 
@@ -207,6 +213,11 @@ def set_rest_lengths(tag, muscles, rest, half_step):
             g = muscles.group[i]
             alpha = sine * load(tag, muscles.sine, g) + cosine * load(tag, muscles.cosine, g)
             store(tag, rest, muscles.row[i], muscles.length[i] + muscles.signed_length[i] * alpha)
+
+
+def plan_array(numbers: Any) -> Array:
+    """Indices for kernels. Unsigned: for negative ones Numba spends 13 % of `midpoint`'s elimination."""
+    return np.asarray(numbers).astype(np.uint32)
 
 
 def rows(n_rows: int, tag: LanesTag) -> Array:

@@ -20,6 +20,7 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    plan_array,
     rows,
     set_rest_lengths,
     step_of,
@@ -39,12 +40,12 @@ class Explicit(NamedTuple):
     ahead: Array  # (4,): from the start of the step to the next stage, h/2, h/2, h, 0
     stage: Array  # (4,) int: half steps from the start of the step
     inverse_mass: Array  # (n_nodes,)
-    gravity_x: Any
-    gravity_y: Any
+    gravity: Array | None  # (2,)
+    c_n: Array | None  # (n_nodes,): the floor's normal dashpots
     a: Array  # (n_springs,) int
     b: Array
     k: Array  # (n_springs,)
-    c: Array
+    c: Array | None
     rest_row: Array  # (n_springs,) int
 
 
@@ -60,27 +61,31 @@ class Work(NamedTuple):
 
 def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system; ValueError if the step is beyond the stability limit."""
-    real, h = dtype.type, physics.dt
+    h, n = physics.dt, system.n_nodes
     _refuse_unstable(system, h)
-    a, b = system.springs.T.copy()
-    gx, gy = system.gravity
+    a, b = system.springs.T
+    floor = c_n = None
+    if system.floor:
+        floor, c_n = compliant_floor(system.floor, system.mass, leave_out=system.leave_out)
+
+    def cast(numbers: Any) -> Any:
+        return None if numbers is None else np.asarray(numbers, dtype)
+
     constants = Explicit(
-        h=real(h), weight=(h * np.array([1, 2, 2, 1]) / 6).astype(dtype),
-        ahead=(h * np.array([0.5, 0.5, 1.0, 0.0])).astype(dtype), stage=np.array([0, 1, 1, 2]),
-        inverse_mass=system.inverse_mass.astype(dtype), gravity_x=real(gx), gravity_y=real(gy), a=a, b=b,
-        k=system.k.astype(dtype), c=system.c.astype(dtype), rest_row=system.rest_row,
+        h=dtype.type(h), weight=cast(h * np.array([1, 2, 2, 1]) / 6), ahead=cast(h * np.array([0.5, 0.5, 1.0, 0.0])),
+        stage=np.array([0, 1, 1, 2]), inverse_mass=cast(system.inverse_mass), gravity=cast(system.gravity),
+        c_n=cast(c_n), a=plan_array(a), b=plan_array(b), k=cast(system.k), c=cast(system.c),
+        rest_row=plan_array(system.rest_row),
     )  # fmt: skip
-    floor = compliant_floor(system.floor, system.mass, dtype) if system.floor else None
-    friction = system.friction.astype(dtype) if floor and system.friction.any() else None
 
     def workspace(tag: LanesTag, state: State) -> Work:
-        n = system.n_nodes
         stage, total = (State(*(rows(n, tag) for _ in range(4))) for _ in range(2))
         anchor = rows(n, tag)
         anchor[:] = state.x
         return Work(at=stage, sum=total, ax=rows(n, tag), ay=rows(n, tag), anchor=anchor)
 
-    return Method(constants, floor, friction, np.arange(system.n_nodes), 0.0, workspace)
+    floor = floor and floor._make(map(cast, floor))
+    return Method(constants, floor, cast(system.friction), np.arange(n), 0.0, workspace)
 
 
 INTEGRATOR = Integrator("explicit", 4, "compliant", False, 1, prepare)
@@ -109,9 +114,9 @@ def stability_limit(system: System) -> tuple[float, float]:
     """
     omega, modes = _body_modes(system)
     if system.floor:
-        floor = compliant_floor(system.floor, system.mass, np.dtype(float))
+        floor, c_n = compliant_floor(system.floor, system.mass)
         k = floor.k * system.inverse_mass
-        for c in (floor.c_n * system.inverse_mass, floor.c_t * system.inverse_mass):
+        for c in (floor.c_t * system.inverse_mass, (0.0 * k if c_n is None else c_n) * system.inverse_mass):
             root = np.sqrt((c / 2) ** 2 - k + 0j)
             modes = np.concatenate([modes, -c / 2 + root, -c / 2 - root])
         omega = max(omega, float(np.sqrt(k.max())))
@@ -135,7 +140,10 @@ def _body_modes(system: System) -> tuple[float, Array]:
     """Fastest undamped frequency (rad/s) and the fastest damped modes (1/s), linearised about the built shape."""
     if len(system.springs) == 0:
         return 0.0, np.zeros(0)
-    stiffness, damping = _mobility(system, system.k), _mobility(system, system.c)
+    stiffness, damping = (
+        _mobility(system, system.k),
+        _mobility(system, 0.0 * system.k if system.c is None else system.c),
+    )
     zero, one = csc_array(stiffness.shape), eye_array(stiffness.shape[0])
     first_order = csc_array(bmat([[zero, one], [-stiffness, -damping]]))
     if system.n_nodes <= DENSE_NODES:
@@ -172,11 +180,11 @@ def _step(tag, constants, floor, friction, muscles, state, rest, limited, work, 
     _copy(tag, state, work.sum)
     for stage in range(4):
         set_rest_lengths(tag, muscles, rest, 2 * n + constants.stage[stage])
-        _accelerate(tag, constants, floor, friction, rest, work)
+        _accelerate(tag, constants, constants.gravity, constants.c, floor, constants.c_n, friction, rest, work)
         _advance_stage(tag, constants, state, work, stage)
     _copy(tag, work.sum, state)
     if friction is not None:
-        _drag_anchors(tag, constants, floor, friction, state, work)
+        _drag_anchors(tag, constants, floor, constants.c_n, friction, state, work)
 
 
 @kernel
@@ -189,13 +197,15 @@ def _copy(tag, source, target):
 
 
 @kernel
-def _accelerate(tag, constants, floor, friction, rest, work):
+def _accelerate(tag, constants, gravity, damping, floor, c_n, friction, rest, work):
     """Accelerations at the stage: gravity, floor, springs."""
     at = work.at
     for i in range(len(constants.inverse_mass)):
-        ax, ay = splat(tag, constants.gravity_x), splat(tag, constants.gravity_y)
+        ax, ay = splat(tag, 0.0), splat(tag, 0.0)
+        if gravity is not None:
+            ax, ay = splat(tag, gravity[0]), splat(tag, gravity[1])
         if floor is not None:
-            f_n = normal_force(floor, i, load(tag, at.y, i), load(tag, at.vy, i))
+            f_n = normal_force(floor, c_n, i, load(tag, at.y, i), load(tag, at.vy, i))
             ay = ay + f_n * constants.inverse_mass[i]
             if friction is not None:
                 x, vx, anchor = load(tag, at.x, i), load(tag, at.vx, i), load(tag, work.anchor, i)
@@ -209,8 +219,10 @@ def _accelerate(tag, constants, floor, friction, rest, work):
         d = square_root(dx * dx + dy * dy)
         inverse = 1.0 / larger(d, splat(tag, CLOSEST))
         ux, uy = dx * inverse, dy * inverse
-        rate = ux * (load(tag, at.vx, b) - load(tag, at.vx, a)) + uy * (load(tag, at.vy, b) - load(tag, at.vy, a))
-        f = constants.k[s] * (d - load(tag, rest, constants.rest_row[s])) + constants.c[s] * rate
+        f = constants.k[s] * (d - load(tag, rest, constants.rest_row[s]))
+        if damping is not None:
+            vx, vy = load(tag, at.vx, b) - load(tag, at.vx, a), load(tag, at.vy, b) - load(tag, at.vy, a)
+            f = f + damping[s] * (ux * vx + uy * vy)
         fx, fy = f * ux, f * uy
         ia, ib = constants.inverse_mass[a], constants.inverse_mass[b]
         store(tag, work.ax, a, load(tag, work.ax, a) + fx * ia)
@@ -238,10 +250,10 @@ def _advance_stage(tag, constants, state, work, stage):
 
 
 @kernel
-def _drag_anchors(tag, constants, floor, friction, state, work):
+def _drag_anchors(tag, constants, floor, c_n, friction, state, work):
     """After the step: anchors of slipping nodes follow, those of nodes in the air go along."""
     for i in range(len(constants.inverse_mass)):
-        f_n = normal_force(floor, i, load(tag, state.y, i), load(tag, state.vy, i))
+        f_n = normal_force(floor, c_n, i, load(tag, state.y, i), load(tag, state.vy, i))
         x, vx, anchor = load(tag, state.x, i), load(tag, state.vx, i), load(tag, work.anchor, i)
         _, _, anchor = tangential_force(floor, i, x, vx, anchor, friction[i] * f_n)
         store(tag, work.anchor, i, anchor)

@@ -20,6 +20,7 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    plan_array,
     rows,
     set_rest_lengths,
     step_of,
@@ -38,8 +39,8 @@ class Impulse(NamedTuple):
 
     h: Any
     iterations: int
-    gravity_x: Any  # u/s a step
-    gravity_y: Any
+    gravity: Array | None  # (2,): u/s a step
+    restitution: Any  # of the floor, None for 0
     inverse_mass: Array  # (n_nodes,)
     a: Array  # (n_springs,) int
     b: Array
@@ -54,7 +55,6 @@ class Impulse(NamedTuple):
 class RigidFloor(NamedTuple):
     """Constants of the rigid contact."""
 
-    restitution: Any
     threshold: Any  # u/s
 
 
@@ -73,31 +73,36 @@ class Work(NamedTuple):
 
 def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system."""
-    real, h = dtype.type, physics.dt
-    order = schedule_springs(system.springs, system.n_nodes)
-    a, b = system.springs[order].T.copy()
-    k, c = system.k[order], system.c[order]
+    h, n = physics.dt, system.n_nodes
+    order = schedule_springs(system.springs, n)
+    a, b = system.springs[order].T
+    k = system.k[order]
+    c = 0.0 if system.c is None else system.c[order]
     gamma = 1.0 / (h * (c + h * k))
-    mass = 1.0 / (system.inverse_mass[a] + system.inverse_mass[b] + gamma)
-    gx, gy = system.gravity
-    constants = Impulse(
-        h=real(h), iterations=physics.iterations, gravity_x=real(h * gx), gravity_y=real(h * gy),
-        inverse_mass=system.inverse_mass.astype(dtype), a=a, b=b, rest_row=system.rest_row[order],
-        gain=(h * k * gamma).astype(dtype), gamma=gamma.astype(dtype), mass=mass.astype(dtype),
-        top_speed=real(LONGEST_MOVE / h), half_friction_speed=real(HALF_FRICTION_SPEED),
-    )  # fmt: skip
     floor = system.floor
-    rigid = floor and RigidFloor(real(floor.restitution), real(floor.restitution_threshold))
-    friction = system.friction.astype(dtype) if floor and system.friction.any() else None
+    bounces = floor and (floor.restitution > 0 or not system.leave_out)
+
+    def cast(numbers: Any) -> Any:
+        return None if numbers is None else np.asarray(numbers, dtype)
+
+    constants = Impulse(
+        h=dtype.type(h), iterations=physics.iterations, gravity=cast(system.gravity and h * np.array(system.gravity)),
+        restitution=dtype.type(floor.restitution) if floor and bounces else None,
+        inverse_mass=cast(system.inverse_mass), a=plan_array(a), b=plan_array(b),
+        rest_row=plan_array(system.rest_row[order]), gain=cast(h * k * gamma), gamma=cast(gamma),
+        mass=cast(1.0 / (system.inverse_mass[a] + system.inverse_mass[b] + gamma)),
+        top_speed=dtype.type(LONGEST_MOVE / h), half_friction_speed=dtype.type(HALF_FRICTION_SPEED),
+    )  # fmt: skip
 
     def workspace(tag: LanesTag, state: State) -> Work:
-        n, m = system.n_nodes, len(a)
+        m = len(a)
         return Work(
             ux=rows(m, tag), uy=rows(m, tag), beta=rows(m, tag), impulse=rows(m, tag),
-            q_n=rows(n, tag), q_t=rows(n, tag), rebound=rows(n, tag), touching=np.zeros(n, np.int64),
+            q_n=rows(n, tag), q_t=rows(n, tag), rebound=rows(n, tag), touching=np.zeros(n, np.uint32),
         )  # fmt: skip
 
-    return Method(constants, rigid, friction, np.arange(system.n_nodes), 0.0, workspace)
+    rigid = floor and RigidFloor(dtype.type(floor.restitution_threshold))
+    return Method(constants, rigid, cast(system.friction), np.arange(n), 0.0, workspace)
 
 
 INTEGRATOR = Integrator("impulse", 1, "rigid", True, 2, prepare)
@@ -106,9 +111,9 @@ INTEGRATOR = Integrator("impulse", 1, "rigid", True, 2, prepare)
 @step_of(Impulse)
 def _step(tag, constants, floor, friction, muscles, state, rest, limited, work, n):
     set_rest_lengths(tag, muscles, rest, 2 * n)
-    _fall(tag, constants, state)
+    _fall(tag, constants, constants.gravity, state)
     _warm_start(tag, constants, state, rest, work)
-    n_touching = _find_contacts(tag, constants, floor, state, work)
+    n_touching = _find_contacts(tag, constants, floor, constants.restitution, state, work)
     for _ in range(constants.iterations):
         _push_contacts(tag, constants, friction, state, work, n_touching)
         _pull_springs(tag, constants, state, work)
@@ -116,12 +121,13 @@ def _step(tag, constants, floor, friction, muscles, state, rest, limited, work, 
 
 
 @kernel
-def _fall(tag, constants, state):
+def _fall(tag, constants, gravity, state):
     """V += h g."""
-    for i in range(len(constants.inverse_mass)):
-        if constants.inverse_mass[i] > 0:
-            store(tag, state.vx, i, load(tag, state.vx, i) + constants.gravity_x)
-            store(tag, state.vy, i, load(tag, state.vy, i) + constants.gravity_y)
+    if gravity is not None:
+        for i in range(len(constants.inverse_mass)):
+            if constants.inverse_mass[i] > 0:
+                store(tag, state.vx, i, load(tag, state.vx, i) + gravity[0])
+                store(tag, state.vy, i, load(tag, state.vy, i) + gravity[1])
 
 
 @inlined
@@ -157,7 +163,7 @@ def _warm_start(tag, constants, state, rest, work):
 
 
 @kernel
-def _find_contacts(tag, constants, floor, state, work):
+def _find_contacts(tag, constants, floor, restitution, state, work):
     """Put nodes on the floor; list those that do not move up, with their rebound. Returns how many."""
     count = 0
     if floor is not None:
@@ -168,7 +174,9 @@ def _find_contacts(tag, constants, floor, state, work):
             if constants.inverse_mass[i] > 0 and any_lane(below):
                 vy = load(tag, state.vy, i)
                 store(tag, state.y, i, select(below, 0.0, y))
-                rebound = select(vy > -floor.threshold, 0.0, -floor.restitution * vy)
+                rebound = nothing
+                if restitution is not None:
+                    rebound = select(vy > -floor.threshold, 0.0, -restitution * vy)
                 store(tag, work.rebound, i, select(below & (vy <= 0.0), rebound, np.nan))
                 store(tag, work.q_n, i, nothing)
                 store(tag, work.q_t, i, nothing)

@@ -9,11 +9,15 @@ With weight 1/2 on the dashpots the method is of order 2 with damping too; theta
 stiffest modes away from ringing at -1 and costs no order, for its term is h² smaller. Impulses act along u between
 points at x_m, so linear and angular momentum are kept to rounding (which float32 feels once h² k/m nears 1e5).
 
+The floor's force is the mean over the part of the step that a node is pressed (`contact.swept_normal_force`), and
+stands on the diagonal with weight 1/2: order 2 also through impacts.
+
 Written for x_m, the step x += h (v + dv/2), v += dv becomes v += dv, x_m += h v: the state keeps x_m, half a step
 ahead, and x need not be kept at all.
 
-The system is factorised as block LDLᵀ, 2x2 blocks a node, in the elimination order of `ordering.eliminate`; nodes
-are numbered in that order here.
+The system is solved by LDLᵀ in the elimination order of `ordering.eliminate`; nodes are numbered in that order here.
+The factorisation looks left: each node collects what earlier ones have left, in registers, and is stored once. An
+update at a time (looking right) has half as many instructions again, most of them loads and stores.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wobblesim.physics.contact import compliant_floor, normal_force, tangential_force
+from wobblesim.physics.contact import IN_THE_AIR, compliant_floor, swept_friction, swept_normal_force
 from wobblesim.physics.contract import (
     CLOSEST,
     Array,
@@ -31,82 +35,109 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    plan_array,
     rows,
     set_rest_lengths,
     step_of,
 )
-from wobblesim.physics.kernels import inlined, kernel
-from wobblesim.physics.lanes import LanesTag, any_lane, larger, load, select, splat, square_root, store
+from wobblesim.physics.kernels import kernel
+from wobblesim.physics.lanes import LanesTag, any_lane, fma, larger, load, splat, square_root, store
 from wobblesim.physics.ordering import Elimination, eliminate
 from wobblesim.physics.scene import Physics
 
-IN_THE_AIR = np.inf  # anchor of a node that does not press the floor
-
 
 class Midpoint(NamedTuple):
-    """Constants; nodes in elimination order, springs in the order of their blocks."""
+    """Constants; nodes in elimination order, springs in the order of their blocks. None: the scene has no such term."""
 
     h: Any
     half_h: Any
-    theta_h: Any  # theta h²/2
-    free: Array  # (n_nodes,): 1, or 0 for a fixed node
+    minus_free: Array  # (n_nodes,): -1, or 0 for a fixed node
     mass: Array  # (n_nodes,)
-    weight_x: Array  # (n_nodes,): h m g
-    weight_y: Array
+    weight: Array | None  # (n_nodes, 2): h m g
+    c_n: Array | None  # (n_nodes,): the floor's normal dashpots
+    s_n: Array | None  # (n_nodes,): h c_n/2 + h²/4 k of the floor
+    s_t: Array | None  # (n_nodes,): h c_t/2 + h²/4 k
     first: Array  # (n_nodes + 1,) int: blocks of a node
     row: Array  # (n_blocks,) int: the later node of a block
-    spring_first: Array  # (n_nodes + 1,) int: springs from a node to later ones
-    other: Array  # (n_springs,) int: the later node of a spring
+    column: Array  # (n_blocks,) int: the earlier node of a block
+    left_first: Array  # (n_nodes + 1,) int: blocks that earlier nodes have with a node
+    left: Array  # (n_blocks,) int
+    pair_first: Array  # (n_blocks + 1,) int: what earlier nodes change in a block
+    pairs: Array  # (n_pairs, 2) int
+    filled: Array  # (fill,) int: blocks without a spring
+    a: Array  # (n_springs,) int: the earlier node of a spring
+    b: Array  # (n_springs,) int: the later node
     block: Array  # (n_springs,) int
     shares: Array  # (n_springs,) bool: whether the spring before stands in the same block
-    filled: Array  # (fill,) int: blocks without a spring
-    hk: Array  # (n_springs,): h k
-    hc: Array  # (n_springs,): h c
-    minus_s: Array  # (n_springs,): -(h c/2 + theta h²/2 k)
+    from_first: Array  # (n_nodes + 1,) int: springs from a node to later ones
+    into_first: Array  # (n_nodes + 1,) int: springs from earlier nodes to a node
+    into: Array  # (n_springs,) int
+    sigma: Array  # (n_springs,): sqrt(s), s = h c/2 + theta h²/2 k
+    stretch: Array  # (n_springs,): h k/sigma
+    damping: Array | None  # (n_springs,): h c/s
     rest_row: Array  # (n_springs,) int
-    target_first: Array  # (n_blocks,) int
-    target: Array  # (n_updates,) int
 
 
 class Work(NamedTuple):
     """Rows of one block of lanes."""
 
-    diagonal: Array  # (3 n_nodes, width): xx, xy, yy of each diagonal block; later of its inverse
-    rhs: Array  # (2 n_nodes, width): h F; later dv
-    block: Array  # (4 n_blocks, width): xx, xy, yx, yy of each block; later of the factor
+    spring: Array  # (3 n_springs, width): w_x, w_y and g of each spring
+    factor: Array  # (4 n_blocks, width): xx, xy, yx, yy of each block of the matrix; later of -L
+    pivot: Array  # (3 n_nodes, width): -d_x, -D_xy/d_x, -d_y
+    change: Array  # (2 n_nodes, width): -z; later -dv
     anchor: Array  # (n_nodes, width): where a node first pressed the floor, or IN_THE_AIR
     touched: Array  # (n_nodes,) int: whether some lane was at the floor in the step before
 
 
 def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     """Fill the constants of one system: order the nodes, sort the springs by block."""
-    real, h = dtype.type, physics.dt
-    plan = eliminate(system.springs, system.n_nodes)
-    order = plan.order
+    h, n = physics.dt, system.n_nodes
+    plan = eliminate(system.springs, n)
+    order, mass = plan.order, system.mass[plan.order]
     springs, block = _springs_by_block(system, plan)
-    k, c = system.k[springs], system.c[springs]
-    mass = system.mass[order]
-    free = system.inverse_mass[order] > 0
-    gx, gy = system.gravity
+    a, b = plan.column[block], plan.row[block]
+    k = system.k[springs]
+    c = np.zeros(len(k)) if system.c is None else system.c[springs]
+    s = 0.5 * h * (c + physics.theta * h * k)
+    floor, c_n, s_n, s_t = _floor(system, mass, h)
+
+    def cast(numbers: Any) -> Any:
+        return None if numbers is None else np.asarray(numbers, dtype)
+
     constants = Midpoint(
-        h=real(h), half_h=real(0.5 * h), theta_h=real(0.5 * physics.theta * h * h),
-        free=free.astype(dtype), mass=mass.astype(dtype),
-        weight_x=(h * gx * mass).astype(dtype), weight_y=(h * gy * mass).astype(dtype),
-        first=plan.first, row=plan.row, spring_first=np.searchsorted(block, plan.first), other=plan.row[block],
-        block=block, shares=np.diff(block, prepend=-1) == 0, filled=np.setdiff1d(np.arange(plan.n_blocks), block),
-        hk=(h * k).astype(dtype), hc=(h * c).astype(dtype),
-        minus_s=(-0.5 * h * (c + physics.theta * h * k)).astype(dtype), rest_row=system.rest_row[springs],
-        target_first=plan.target_first, target=plan.target,
+        h=dtype.type(h), half_h=dtype.type(0.5 * h), minus_free=cast(np.where(system.inverse_mass[order] > 0, -1, 0)),
+        mass=cast(mass), weight=cast(system.gravity and h * np.outer(mass, system.gravity)),
+        c_n=cast(c_n), s_n=cast(s_n), s_t=cast(s_t),
+        first=plan_array(plan.first), row=plan_array(plan.row), column=plan_array(plan.column),
+        left_first=plan_array(plan.left_first), left=plan_array(plan.left),
+        pair_first=plan_array(plan.pair_first), pairs=plan_array(plan.pairs),
+        filled=plan_array(np.setdiff1d(np.arange(plan.n_blocks), block)), a=plan_array(a), b=plan_array(b),
+        block=plan_array(block), shares=np.diff(block, prepend=-1) == 0,
+        from_first=plan_array(np.searchsorted(a, np.arange(n + 1))),
+        into_first=plan_array(np.searchsorted(np.sort(b), np.arange(n + 1))),
+        into=plan_array(np.argsort(b, kind="stable")),
+        sigma=cast(np.sqrt(s)), stretch=cast(h * k / np.sqrt(s)), damping=cast(None if system.c is None else h * c / s),
+        rest_row=plan_array(system.rest_row[springs]),
     )  # fmt: skip
-    floor = compliant_floor(system.floor, mass, dtype, h) if system.floor else None
-    friction = system.friction[order].astype(dtype) if floor and system.friction.any() else None
 
     def workspace(tag: LanesTag, state: State) -> Work:
-        n = system.n_nodes
-        blocks = rows(4 * plan.n_blocks, tag)
-        return Work(rows(3 * n, tag), rows(2 * n, tag), blocks, rows(n, tag), np.zeros(n, np.int64))
+        return Work(
+            spring=rows(3 * len(springs), tag), factor=rows(4 * plan.n_blocks, tag), pivot=rows(3 * n, tag),
+            change=rows(2 * n, tag), anchor=rows(n, tag), touched=np.zeros(n, np.int64),
+        )  # fmt: skip
 
-    return Method(constants, floor, friction, order, 0.5 * h, workspace)
+    floor = floor and floor._make(map(cast, floor))
+    return Method(constants, floor, cast(system.friction if system.friction is None else system.friction[order]),
+                  order, 0.5 * h, workspace)  # fmt: skip
+
+
+def _floor(system: System, mass: Array, h: float) -> tuple[Any, Any, Any, Any]:
+    """The contact law's constants and what the floor adds to the diagonal, normal and tangential."""
+    if system.floor is None:
+        return None, None, None, None
+    floor, c_n = compliant_floor(system.floor, mass, h, system.leave_out)
+    s = 0.25 * h * h * floor.k
+    return floor, c_n, s + 0.5 * h * (0.0 if c_n is None else c_n), s + 0.5 * h * floor.c_t
 
 
 def _springs_by_block(system: System, plan: Elimination) -> tuple[Array, Array]:
@@ -114,9 +145,8 @@ def _springs_by_block(system: System, plan: Elimination) -> tuple[Array, Array]:
     place = np.empty(system.n_nodes, dtype=np.int64)
     place[plan.order] = np.arange(system.n_nodes)
     p, q = np.sort(place[system.springs], axis=1).T
-    column = np.repeat(np.arange(system.n_nodes), np.diff(plan.first))
     # blocks are numbered by column, then row: their places in this list are their numbers
-    block = np.searchsorted(column * system.n_nodes + plan.row, p * system.n_nodes + q)
+    block = np.searchsorted(plan.column * system.n_nodes + plan.row, p * system.n_nodes + q)
     springs = np.argsort(block, kind="stable")
     return springs, block[springs]
 
@@ -127,157 +157,156 @@ INTEGRATOR = Integrator("midpoint", 2, "compliant", True, 1, prepare)
 @step_of(Midpoint)
 def _step(tag, constants, floor, friction, muscles, state, rest, limited, work, n):
     set_rest_lengths(tag, muscles, rest, 2 * n + 1)
-    _begin(tag, constants, floor, friction, state, work)
-    _assemble(tag, constants, state, rest, work)
-    _factorise(tag, constants, work)
-    _solve_and_move(tag, constants, state, work)
+    _pull(tag, constants, constants.damping, state, rest, work)
+    _eliminate(tag, constants, constants.weight, floor, constants.c_n, friction, state, work)
+    _substitute_and_move(tag, constants, state, work)
 
 
 @kernel
-def _begin(tag, constants, floor, friction, state, work):
-    """Start matrix and right-hand side with mass, weight and the floor."""
-    for p in range(len(constants.mass)):
-        store(tag, work.rhs, 2 * p, splat(tag, constants.weight_x[p]))
-        store(tag, work.rhs, 2 * p + 1, splat(tag, constants.weight_y[p]))
-        store(tag, work.diagonal, 3 * p, splat(tag, constants.mass[p]))
-        store(tag, work.diagonal, 3 * p + 1, splat(tag, 0.0))
-        store(tag, work.diagonal, 3 * p + 2, splat(tag, constants.mass[p]))
-        if floor is not None:
-            _press(tag, constants, floor, friction, state, work, p)
+def _pull(tag, constants, damping, state, rest, work):
+    """Every spring at the midpoint: w = sqrt(s) u from the earlier to the later node, g = h f/sqrt(s), pulling.
 
-
-@inlined
-def _press(tag, constants, floor, friction, state, work, p):
-    """The floor under node p: forces, and what they change with dv, on the diagonal."""
-    y = load(tag, state.y, p)
-    touches = any_lane(y < 0.0)
-    if touches:
-        f_n = normal_force(floor, p, y, load(tag, state.vy, p))
-        s_n = constants.half_h * floor.c_n[p] + constants.theta_h * floor.k[p]
-        rhs, diagonal = load(tag, work.rhs, 2 * p + 1), load(tag, work.diagonal, 3 * p + 2)
-        store(tag, work.rhs, 2 * p + 1, rhs + constants.h * f_n)
-        store(tag, work.diagonal, 3 * p + 2, diagonal + select(f_n > 0.0, s_n, splat(tag, 0.0)))
-        if friction is not None:
-            x, vx, limit = load(tag, state.x, p), load(tag, state.vx, p), friction[p] * f_n
-            anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
-            anchor = select(anchor < IN_THE_AIR, anchor, x)  # set where the node first presses
-            f_t, slips, anchor = tangential_force(floor, p, x, vx, anchor, limit)
-            s_t = constants.half_h * floor.c_t[p] + constants.theta_h * floor.k[p]
-            sticks = (limit > 0.0) & ~slips
-            rhs, diagonal = load(tag, work.rhs, 2 * p), load(tag, work.diagonal, 3 * p)
-            store(tag, work.rhs, 2 * p, rhs + constants.h * f_t)
-            store(tag, work.diagonal, 3 * p, diagonal + select(sticks, s_t, splat(tag, 0.0)))
-            store(tag, work.anchor, p, select(limit > 0.0, anchor, IN_THE_AIR))
-    work.touched[p] = touches
-
-
-@kernel
-def _assemble(tag, constants, state, rest, work):
-    """Add every spring's force and stiffness at the midpoint; p is the end that is eliminated first."""
+    With them the spring adds ``w wᵀ`` to the blocks of its nodes, ``-w wᵀ`` to the block between them, ``g w`` to h F.
+    """
     for e in constants.filled:
         for row in range(4 * e, 4 * e + 4):
-            store(tag, work.block, row, splat(tag, 0.0))
-    for p in range(len(constants.mass)):
-        xp, yp = load(tag, state.x, p), load(tag, state.y, p)
-        vxp, vyp = load(tag, state.vx, p), load(tag, state.vy, p)
-        fxp, fyp = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
-        xxp, xyp = load(tag, work.diagonal, 3 * p), load(tag, work.diagonal, 3 * p + 1)
-        yyp = load(tag, work.diagonal, 3 * p + 2)
-        for i in range(constants.spring_first[p], constants.spring_first[p + 1]):
-            q = constants.other[i]
-            dx, dy = load(tag, state.x, q) - xp, load(tag, state.y, q) - yp
-            d = square_root(dx * dx + dy * dy)
-            inverse = 1.0 / larger(d, splat(tag, CLOSEST))
-            ux, uy = dx * inverse, dy * inverse
-            rate = ux * (load(tag, state.vx, q) - vxp) + uy * (load(tag, state.vy, q) - vyp)
-            hf = constants.hk[i] * (d - load(tag, rest, constants.rest_row[i])) + constants.hc[i] * rate
-            # the force pulls p towards q and q towards p
-            fx, fy = hf * ux, hf * uy
-            fxp, fyp = fxp + fx, fyp + fy
-            store(tag, work.rhs, 2 * q, load(tag, work.rhs, 2 * q) - fx)
-            store(tag, work.rhs, 2 * q + 1, load(tag, work.rhs, 2 * q + 1) - fy)
-            # -s u uᵀ couples them, +s u uᵀ stands on both diagonals
-            sx, sy = constants.minus_s[i] * ux, constants.minus_s[i] * uy
-            xx, xy, yy = sx * ux, sx * uy, sy * uy
-            xxp, xyp, yyp = xxp - xx, xyp - xy, yyp - yy
-            store(tag, work.diagonal, 3 * q, load(tag, work.diagonal, 3 * q) - xx)
-            store(tag, work.diagonal, 3 * q + 1, load(tag, work.diagonal, 3 * q + 1) - xy)
-            store(tag, work.diagonal, 3 * q + 2, load(tag, work.diagonal, 3 * q + 2) - yy)
-            row = 4 * constants.block[i]
-            if constants.shares[i]:
-                xx, xy = xx + load(tag, work.block, row), xy + load(tag, work.block, row + 1)
-                yy = yy + load(tag, work.block, row + 3)
-            store(tag, work.block, row, xx)
-            store(tag, work.block, row + 1, xy)
-            store(tag, work.block, row + 2, xy)
-            store(tag, work.block, row + 3, yy)
-        store(tag, work.rhs, 2 * p, fxp)
-        store(tag, work.rhs, 2 * p + 1, fyp)
-        store(tag, work.diagonal, 3 * p, xxp)
-        store(tag, work.diagonal, 3 * p + 1, xyp)
-        store(tag, work.diagonal, 3 * p + 2, yyp)
+            store(tag, work.factor, row, splat(tag, 0.0))
+    for i in range(len(constants.a)):
+        a, b = constants.a[i], constants.b[i]
+        dx, dy = load(tag, state.x, b) - load(tag, state.x, a), load(tag, state.y, b) - load(tag, state.y, a)
+        d = square_root(fma(dx, dx, dy * dy))
+        inverse = constants.sigma[i] / larger(d, splat(tag, CLOSEST))
+        wx, wy = dx * inverse, dy * inverse
+        g = constants.stretch[i] * (d - load(tag, rest, constants.rest_row[i]))
+        if damping is not None:
+            vx = load(tag, state.vx, b) - load(tag, state.vx, a)
+            vy = load(tag, state.vy, b) - load(tag, state.vy, a)
+            g = fma(damping[i], fma(wx, vx, wy * vy), g)
+        store(tag, work.spring, 3 * i, wx)
+        store(tag, work.spring, 3 * i + 1, wy)
+        store(tag, work.spring, 3 * i + 2, g)
+        e = 4 * constants.block[i]
+        xx, xy, yy = -wx * wx, -wx * wy, -wy * wy
+        if constants.shares[i]:
+            xx, xy = xx + load(tag, work.factor, e), xy + load(tag, work.factor, e + 1)
+            yy = yy + load(tag, work.factor, e + 3)
+        store(tag, work.factor, e, xx)
+        store(tag, work.factor, e + 1, xy)
+        store(tag, work.factor, e + 2, xy)
+        store(tag, work.factor, e + 3, yy)
 
 
 @kernel
-def _factorise(tag, constants, work):
-    """Eliminate node after node: with D the diagonal block of p and B_e its blocks,
+def _eliminate(tag, constants, weight, floor, c_n, friction, state, work):
+    """Assemble and factorise, node after node in elimination order.
 
-    L_e = B_e D⁻¹,   A[e, f] -= B_e L_fᵀ,   A[e, e] -= L_e B_eᵀ,   rhs_e -= B_e z,   z = D⁻¹ rhs_p.
+    The two unknowns of a node are eliminated x first. With its 2x2 block D and its part r of h F, as far as earlier
+    nodes have changed them,
 
-    L_e replaces B_e, z replaces rhs_p. A fixed node has D⁻¹ = 0: it takes nothing and gives nothing.
+        d_x = D_xx,   d_y = D_yy - D_xy²/d_x,   z_x = r_x/d_x,   z_y = (r_y - r_x D_xy/d_x)/d_y,
+
+    and a row (a_x, a_y) of a later node becomes ``l_x = a_x/d_x``, ``l_y = (a_y - a_x D_xy/d_x)/d_y``. From every
+    earlier node it is coupled to, a node has ``l d lᵀ`` taken off its block and ``l d z`` off its part of h F. What is
+    stored are -d, -l and -z: every update is then one fused multiply-add. A fixed node has 1/d = 0: it takes nothing
+    and gives nothing.
     """
+    nothing = splat(tag, 0.0)
     for p in range(len(constants.mass)):
-        xx, xy, yy = (
-            load(tag, work.diagonal, 3 * p), load(tag, work.diagonal, 3 * p + 1), load(tag, work.diagonal, 3 * p + 2)
-        )  # fmt: skip
-        inverse = constants.free[p] / (xx * yy - xy * xy)
-        ixx, ixy, iyy = yy * inverse, -xy * inverse, xx * inverse
-        rx, ry = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
-        zx, zy = ixx * rx + ixy * ry, ixy * rx + iyy * ry
-        store(tag, work.rhs, 2 * p, zx)
-        store(tag, work.rhs, 2 * p + 1, zy)
+        # mass, weight and floor
+        xx, xy, yy = splat(tag, constants.mass[p]), nothing, splat(tag, constants.mass[p])
+        rx, ry = nothing, nothing
+        if weight is not None:
+            rx, ry = splat(tag, weight[p, 0]), splat(tag, weight[p, 1])
+        if floor is not None:
+            y, vy = load(tag, state.y, p), load(tag, state.vy, p)
+            touches = any_lane(y - constants.half_h * abs(vy) < 0.0)
+            if touches:
+                f_n, part = swept_normal_force(floor, c_n, p, y, vy, constants.half_h)
+                ry, yy = fma(constants.h * part, f_n, ry), fma(part, constants.s_n[p], yy)
+                if friction is not None:
+                    x, vx = load(tag, state.x, p), load(tag, state.vx, p)
+                    anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
+                    f_t, sticks, anchor = swept_friction(
+                        floor, p, x, vx, vy, part, constants.half_h, anchor, friction[p] * f_n
+                    )
+                    rx, xx = fma(constants.h * part, f_t, rx), fma(sticks, constants.s_t[p], xx)
+                    store(tag, work.anchor, p, anchor)
+            work.touched[p] = touches
+        # springs
+        for i in range(constants.from_first[p], constants.from_first[p + 1]):
+            wx, wy, g = (
+                load(tag, work.spring, 3 * i),
+                load(tag, work.spring, 3 * i + 1),
+                load(tag, work.spring, 3 * i + 2),
+            )
+            xx, xy, yy = fma(wx, wx, xx), fma(wx, wy, xy), fma(wy, wy, yy)
+            rx, ry = fma(g, wx, rx), fma(g, wy, ry)
+        for j in range(constants.into_first[p], constants.into_first[p + 1]):
+            i = constants.into[j]
+            wx, wy, g = (
+                load(tag, work.spring, 3 * i),
+                load(tag, work.spring, 3 * i + 1),
+                load(tag, work.spring, 3 * i + 2),
+            )
+            xx, xy, yy = fma(wx, wx, xx), fma(wx, wy, xy), fma(wy, wy, yy)
+            rx, ry = fma(-g, wx, rx), fma(-g, wy, ry)
+        # what earlier nodes left: a and c are rows x and y of -L
+        for j in range(constants.left_first[p], constants.left_first[p + 1]):
+            e = constants.left[j]
+            q = constants.column[e]
+            dx, dy = load(tag, work.pivot, 3 * q), load(tag, work.pivot, 3 * q + 2)
+            ax, ay = load(tag, work.factor, 4 * e), load(tag, work.factor, 4 * e + 1)
+            cx, cy = load(tag, work.factor, 4 * e + 2), load(tag, work.factor, 4 * e + 3)
+            zx, zy = load(tag, work.change, 2 * q), load(tag, work.change, 2 * q + 1)
+            dax, day, dcx, dcy = dx * ax, dy * ay, dx * cx, dy * cy
+            xx, xy = xx + fma(day, ay, dax * ax), xy + fma(dcy, ay, dcx * ax)
+            yy = yy + fma(dcy, cy, dcx * cx)
+            rx, ry = rx + fma(day, zy, dax * zx), ry + fma(dcy, zy, dcx * zx)
+        # pivots; d_y = determinant/d_x, so that the two divisions do not wait for each other
+        determinant = fma(xx, yy, -(xy * xy))
+        ix, iy = constants.minus_free[p] / xx, constants.minus_free[p] * xx / determinant
+        l = xy * ix
+        store(tag, work.pivot, 3 * p, -xx)
+        store(tag, work.pivot, 3 * p + 1, l)
+        store(tag, work.pivot, 3 * p + 2, determinant * ix)
+        store(tag, work.change, 2 * p, rx * ix)
+        store(tag, work.change, 2 * p + 1, fma(l, rx, ry) * iy)
+        # rows of later nodes
         for e in range(constants.first[p], constants.first[p + 1]):
-            q = constants.row[e]
-            bxx, bxy = load(tag, work.block, 4 * e), load(tag, work.block, 4 * e + 1)
-            byx, byy = load(tag, work.block, 4 * e + 2), load(tag, work.block, 4 * e + 3)
-            t = constants.target_first[e]
-            for f in range(constants.first[p], e):
-                lxx, lxy = load(tag, work.block, 4 * f), load(tag, work.block, 4 * f + 1)
-                lyx, lyy = load(tag, work.block, 4 * f + 2), load(tag, work.block, 4 * f + 3)
-                g = 4 * constants.target[t]
-                t += 1
-                store(tag, work.block, g, load(tag, work.block, g) - (bxx * lxx + bxy * lxy))
-                store(tag, work.block, g + 1, load(tag, work.block, g + 1) - (bxx * lyx + bxy * lyy))
-                store(tag, work.block, g + 2, load(tag, work.block, g + 2) - (byx * lxx + byy * lxy))
-                store(tag, work.block, g + 3, load(tag, work.block, g + 3) - (byx * lyx + byy * lyy))
-            lxx, lxy = bxx * ixx + bxy * ixy, bxx * ixy + bxy * iyy
-            lyx, lyy = byx * ixx + byy * ixy, byx * ixy + byy * iyy
-            store(tag, work.block, 4 * e, lxx)
-            store(tag, work.block, 4 * e + 1, lxy)
-            store(tag, work.block, 4 * e + 2, lyx)
-            store(tag, work.block, 4 * e + 3, lyy)
-            store(tag, work.diagonal, 3 * q, load(tag, work.diagonal, 3 * q) - (lxx * bxx + lxy * bxy))
-            store(tag, work.diagonal, 3 * q + 1, load(tag, work.diagonal, 3 * q + 1) - (lxx * byx + lxy * byy))
-            store(tag, work.diagonal, 3 * q + 2, load(tag, work.diagonal, 3 * q + 2) - (lyx * byx + lyy * byy))
-            store(tag, work.rhs, 2 * q, load(tag, work.rhs, 2 * q) - (bxx * zx + bxy * zy))
-            store(tag, work.rhs, 2 * q + 1, load(tag, work.rhs, 2 * q + 1) - (byx * zx + byy * zy))
+            ax, ay = load(tag, work.factor, 4 * e), load(tag, work.factor, 4 * e + 1)
+            cx, cy = load(tag, work.factor, 4 * e + 2), load(tag, work.factor, 4 * e + 3)
+            for j in range(constants.pair_first[e], constants.pair_first[e + 1]):
+                f, g = constants.pairs[j, 0], constants.pairs[j, 1]
+                q = constants.column[f]
+                dx, dy = load(tag, work.pivot, 3 * q), load(tag, work.pivot, 3 * q + 2)
+                fax, fay = dx * load(tag, work.factor, 4 * f), dy * load(tag, work.factor, 4 * f + 1)
+                fcx, fcy = dx * load(tag, work.factor, 4 * f + 2), dy * load(tag, work.factor, 4 * f + 3)
+                gax, gay = load(tag, work.factor, 4 * g), load(tag, work.factor, 4 * g + 1)
+                gcx, gcy = load(tag, work.factor, 4 * g + 2), load(tag, work.factor, 4 * g + 3)
+                ax, ay = fma(gay, fay, fma(gax, fax, ax)), fma(gay, fcy, fma(gax, fcx, ay))
+                cx, cy = fma(gcy, fay, fma(gcx, fax, cx)), fma(gcy, fcy, fma(gcx, fcx, cy))
+            store(tag, work.factor, 4 * e, ax * ix)
+            store(tag, work.factor, 4 * e + 1, fma(l, ax, ay) * iy)
+            store(tag, work.factor, 4 * e + 2, cx * ix)
+            store(tag, work.factor, 4 * e + 3, fma(l, cx, cy) * iy)
 
 
 @kernel
-def _solve_and_move(tag, constants, state, work):
-    """Substitute back, dv_p = z - sum_e L_eᵀ dv_e, and move: v += dv, x_m += h v."""
+def _substitute_and_move(tag, constants, state, work):
+    """Substitute back, dv_p = z - sum_e L_eᵀ dv_e, y before x, and move: v += dv, x_m += h v."""
     for j in range(len(constants.mass)):
         p = len(constants.mass) - 1 - j
-        dvx, dvy = load(tag, work.rhs, 2 * p), load(tag, work.rhs, 2 * p + 1)
+        gx, gy = load(tag, work.change, 2 * p), load(tag, work.change, 2 * p + 1)
         for e in range(constants.first[p], constants.first[p + 1]):
             q = constants.row[e]
-            qx, qy = load(tag, work.rhs, 2 * q), load(tag, work.rhs, 2 * q + 1)
-            dvx = dvx - (load(tag, work.block, 4 * e) * qx + load(tag, work.block, 4 * e + 2) * qy)
-            dvy = dvy - (load(tag, work.block, 4 * e + 1) * qx + load(tag, work.block, 4 * e + 3) * qy)
-        store(tag, work.rhs, 2 * p, dvx)
-        store(tag, work.rhs, 2 * p + 1, dvy)
-        vx, vy = load(tag, state.vx, p) + dvx, load(tag, state.vy, p) + dvy
+            qx, qy = load(tag, work.change, 2 * q), load(tag, work.change, 2 * q + 1)
+            gx = fma(load(tag, work.factor, 4 * e + 2), qy, fma(load(tag, work.factor, 4 * e), qx, gx))
+            gy = fma(load(tag, work.factor, 4 * e + 3), qy, fma(load(tag, work.factor, 4 * e + 1), qx, gy))
+        gx = fma(load(tag, work.pivot, 3 * p + 1), gy, gx)
+        store(tag, work.change, 2 * p, gx)
+        store(tag, work.change, 2 * p + 1, gy)
+        vx, vy = load(tag, state.vx, p) - gx, load(tag, state.vy, p) - gy
         store(tag, state.vx, p, vx)
         store(tag, state.vy, p, vy)
-        store(tag, state.x, p, load(tag, state.x, p) + constants.h * vx)
-        store(tag, state.y, p, load(tag, state.y, p) + constants.h * vy)
+        store(tag, state.x, p, fma(constants.h, vx, load(tag, state.x, p)))
+        store(tag, state.y, p, fma(constants.h, vy, load(tag, state.y, p)))

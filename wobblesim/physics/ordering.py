@@ -6,6 +6,8 @@ Both work for any body; neither knows what a starfish is.
 from __future__ import annotations
 
 import functools
+import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,19 +56,28 @@ class Elimination:
         The blocks of the p-th eliminated node are ``first[p] .. first[p + 1]``.
     row : (n_blocks,) int
         The later node (by its place in the elimination order) that a block couples to, ascending.
-    target_first : (n_blocks,) int
-        Start, in `target`, of the blocks that a block updates together with the earlier blocks of its node.
-    target : (n_updates,) int
-        For block e of a node and each earlier block f of the same node: the block that couples their rows.
+    column : (n_blocks,) int
+        The earlier one, whose block it is.
+    left_first : (n_nodes + 1,) int
+        Start, in `left`, of the blocks that earlier nodes have with a node.
+    left : (n_blocks,) int
+        Blocks sorted by row, then column.
+    pair_first : (n_blocks + 1,) int
+        Start, in `pairs`, of what earlier nodes change in a block.
+    pairs : (n_pairs, 2) int
+        For a block of p and q, and an earlier node coupled to both: its blocks with p and with q.
     fill : int
-        Blocks that no spring needs: zero at first, filled by elimination.
+        Blocks that no spring needs.
     """
 
     order: Ints
     first: Ints
     row: Ints
-    target_first: Ints
-    target: Ints
+    column: Ints
+    left_first: Ints
+    left: Ints
+    pair_first: Ints
+    pairs: Ints
     fill: int
 
     @property
@@ -99,21 +110,29 @@ def _eliminate(spring_bytes: bytes, n_nodes: int) -> Elimination:
     place[order] = np.arange(n_nodes)
 
     rows = [sorted(int(place[q]) for q in later[p]) for p in order]
-    first = np.cumsum([0, *map(len, rows)])
-    block = {(p, q): first[p] + j for p, row in enumerate(rows) for j, q in enumerate(row)}
-    target_first, target = [], []
-    for row in rows:
-        for j, q in enumerate(row):
-            target_first.append(len(target))
-            target += [block[earlier, q] for earlier in row[:j]]
+    first = _starts(map(len, rows))
+    block = {(p, q): int(first[p]) + j for p, row in enumerate(rows) for j, q in enumerate(row)}
+    pairs: list[list[tuple[int, int]]] = [[] for _ in block]
+    for s, row in enumerate(rows):
+        for p, q in itertools.combinations(row, 2):
+            pairs[block[p, q]].append((block[s, p], block[s, q]))
+    column, row = np.array(list(block), dtype=np.int64).reshape(-1, 2).T.copy()
     return Elimination(
         order=order,
         first=first,
-        row=np.array([q for row in rows for q in row], dtype=np.int64),
-        target_first=np.array(target_first, dtype=np.int64),
-        target=np.array(target, dtype=np.int64),
+        row=row,
+        column=column,
+        left_first=_starts(np.bincount(row, minlength=n_nodes)),
+        left=np.argsort(row, kind="stable"),
+        pair_first=_starts(map(len, pairs)),
+        pairs=np.array(list(itertools.chain(*pairs)), dtype=np.int64).reshape(-1, 2),
         fill=len(block) - n_spring_blocks,
     )
+
+
+def _starts(counts: Iterable[int]) -> Ints:
+    """Where each of some consecutive parts begins, and where the last one ends."""
+    return np.array([0, *itertools.accumulate(counts)], dtype=np.int64)
 
 
 def _couplings(springs: Ints, n_nodes: int) -> list[set[int]]:

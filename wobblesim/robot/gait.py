@@ -90,7 +90,9 @@ def split_behaviours(behaviours: NDArray[np.float64], gait: Gait) -> tuple[NDArr
     """
     amplitudes, offsets = np.split(np.asarray(behaviours, dtype=np.float64).T, 2)
     amplitudes = gait.max_amplitude * amplitudes
-    return amplitudes * cos_turns(offsets), amplitudes * sin_turns(offsets)
+    # The cosine as in `cos_turns`, both in one call: for a few behaviours it is the calls that take the time.
+    cosine, sine = sin_turns(np.stack([offsets - np.rint(offsets) + 0.25, offsets]))
+    return amplitudes * cosine, amplitudes * sine
 
 
 def clock(gait: Gait, dt: float, n_half_steps: int) -> NDArray[np.float64]:

@@ -219,7 +219,8 @@ class _Sweep:
         log.add(epoch)
         self.meter.epoch = learner.epoch
         work = lane_steps(learner.setup, epoch.epoch) - lane_steps(learner.setup, learner.epoch)
-        self.meter.count(len(learner.seeds) * work, int((epoch.status == "diverged").sum()))
+        diverged, refined = (int((epoch.status == status).sum()) for status in ("diverged", "refined"))
+        self.meter.count(len(learner.seeds) * work, diverged, refined)
         self.meter.tell("epoch")
 
     def _save(self, group: Group, learner: Learner, log: Log, seconds: float) -> None:
@@ -259,9 +260,9 @@ def _said(tables: dict[str, pa.Table]) -> str:
     """The result of a run in words."""
     if _failed(tables):
         return "failed, all trials of the last epoch diverged"
-    run = tables["runs"].select(["performance", "diverged"]).to_pylist()[0]
-    diverged = f", {run['diverged']} trials diverged" if run["diverged"] else ""
-    return f"{run['performance']:.3f} body lengths{diverged}"
+    run = tables["runs"].select(["performance", "diverged", "refined"]).to_pylist()[0]
+    trouble = "".join(f", {run[status]} trials {status}" for status in ("diverged", "refined") if run[status])
+    return f"{run['performance']:.3f} body lengths{trouble}"
 
 
 def _one_line(error: BaseException | None) -> str:

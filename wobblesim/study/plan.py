@@ -248,7 +248,7 @@ def steps(setup: Setup) -> int:
 
 
 def lane_steps(setup: Setup, since: int = 0) -> int:
-    """Time steps of all trials of a run from epoch `since` on, at most.
+    """Time steps of all trials of a run from epoch `since` on, at most (what is tried again with a smaller step apart).
 
     A kept behaviour is not tried again while the morphology rests; a wobble is taken to change it in every epoch up to
     its end.

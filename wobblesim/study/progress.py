@@ -19,8 +19,8 @@ class Progress:
     kind : {"begin", "epoch", "run", "failure", "note", "end"}
     wanted, present, done, failed : int
         Runs: asked for; there before this command; computed by it; come to nothing.
-    diverged : int
-        Trials that diverged under this command.
+    diverged, refined : int
+        Trials under this command that diverged, or would have without a smaller step.
     group : str
         The runs in progress, in words.
     epoch, epochs : int
@@ -39,12 +39,17 @@ class Progress:
     done: int
     failed: int
     diverged: int
+    refined: int
     group: str
     epoch: int
     epochs: int
     fraction: float
     remaining: float | None
     message: str
+
+
+TOLD = ("wanted", "present", "done", "failed", "diverged", "refined", "group", "epoch", "epochs")
+"""What a progress says as the meter has it."""
 
 
 class Meter:
@@ -62,7 +67,7 @@ class Meter:
 
     def __init__(self, tell: Callable[[Progress], None], wanted: int, present: int, failed: int, work: int) -> None:
         self._tell, self.wanted, self.present, self.failed, self.work = tell, wanted, present, failed, work
-        self.done = self.diverged = self.epoch = self.epochs = 0
+        self.done = self.diverged = self.refined = self.epoch = self.epochs = 0
         self.group = ""
         self._worked = 0
         self._first: tuple[float, int] | None = None
@@ -70,9 +75,8 @@ class Meter:
     def tell(self, kind: Kind, message: str = "") -> None:
         """Say where the sweep stands."""
         fraction = min(1.0, self._worked / self.work) if self.work else 1.0
-        counts = {name: getattr(self, name) for name in ("wanted", "present", "done", "failed", "diverged")}
-        place = {name: getattr(self, name) for name in ("group", "epoch", "epochs")}
-        self._tell(Progress(kind, **counts, **place, fraction=fraction, remaining=self._remaining(), message=message))
+        mine = {name: getattr(self, name) for name in TOLD}
+        self._tell(Progress(kind, **mine, fraction=fraction, remaining=self._remaining(), message=message))
 
     def skip(self, work: int) -> None:
         """Leave out lane-steps that need not be done: an earlier command did them, or their runs came to nothing."""
@@ -89,10 +93,11 @@ class Meter:
         self.failed += runs
         self.tell("failure", message)
 
-    def count(self, work: int, diverged: int) -> None:
-        """Count the lane-steps and the diverged trials of an epoch."""
+    def count(self, work: int, diverged: int, refined: int) -> None:
+        """Count the lane-steps, and the diverged and refined trials, of an epoch."""
         self._worked += work
         self.diverged += diverged
+        self.refined += refined
         if self._first is None:
             # The first epoch may contain the compilation of the kernels: the rate is measured from its end.
             self._first = time.monotonic(), self._worked

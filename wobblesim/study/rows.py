@@ -14,7 +14,9 @@ from wobblesim.study.schema import TABLES_OF_LOG, table
 
 Columns = dict[str, np.ndarray]
 
-OF_TRIALS = ("parent", "performance", "status", "limited", "diverged_at", "reused")
+OF_TRIALS = ("parent", "performance", "status", "dt", "bound", "limited", "diverged_at", "reused")
+
+STATUSES = ("ok", "limited", "refined", "diverged")
 
 
 class Log:
@@ -77,7 +79,7 @@ def _epoch_columns(epoch: Epoch) -> Columns:
     seeds = len(epoch.best)
     performance = epoch.performance
     known = np.isfinite(performance)
-    counts = {status: (epoch.status == status).sum(axis=1) for status in ("ok", "limited", "diverged")}
+    counts = {status: (epoch.status == status).sum(axis=1) for status in STATUSES}
     factors = {name: np.full(seeds, getattr(epoch.morphology, name)) for name in DIMENSIONS}
     total = np.where(known, performance, 0.0).sum(axis=1)
     return {
@@ -136,8 +138,7 @@ def _by_slot(columns: Columns, epoch: np.ndarray) -> Columns:
 def _summary(mine: Columns, seconds: float) -> dict[str, Any]:
     """The row of a run in the table of runs."""
     epochs = _of(mine, "epochs")
-    counts = {name: int(epochs[name].sum()) for name in ("ok", "limited", "diverged", "reused")}
-    trials = counts["ok"] + counts["limited"] + counts["diverged"]
+    counts = {name: int(epochs[name].sum()) for name in (*STATUSES, "reused")}
     performance = float(epochs["best"][-1])
     return {
         "status": ["failed" if np.isnan(performance) else "ok"],
@@ -145,7 +146,7 @@ def _summary(mine: Columns, seconds: float) -> dict[str, Any]:
         "path_before": float(epochs["path_before"][-1]),
         "path_after": float(epochs["path"][-1] - epochs["path_before"][-1]),
         "epochs": len(epochs["epoch"]),
-        "trials": trials,
-        **{name: counts[name] for name in ("diverged", "limited", "reused")},
+        "trials": sum(counts[status] for status in STATUSES),
+        **{name: counts[name] for name in ("diverged", "refined", "limited", "reused")},
         "seconds": seconds,
     }

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 TABLES_OF_LOG = {
     "epochs": ("epochs",),
@@ -60,6 +60,9 @@ PARAMETERS = {
     "physics.iterations": COUNT,
     "physics.theta": REAL,
     "physics.max_speed": REAL,
+    "physics.max_strain": REAL,
+    "physics.max_energy": REAL,
+    "physics.refinements": COUNT,
     "trial.duration": REAL,
     "trial.period": REAL,
     "trial.max_amplitude": REAL,
@@ -90,6 +93,7 @@ COLUMNS: dict[str, dict[str, pa.DataType]] = {
         "epochs": COUNT,
         "trials": WHOLE,
         "diverged": WHOLE,
+        "refined": WHOLE,
         "limited": WHOLE,
         "reused": WHOLE,
         "seconds": REAL,
@@ -106,6 +110,7 @@ COLUMNS: dict[str, dict[str, pa.DataType]] = {
         "mean": REAL,
         "ok": COUNT,
         "limited": COUNT,
+        "refined": COUNT,
         "diverged": COUNT,
         "reused": COUNT,
         "path": REAL,
@@ -118,6 +123,8 @@ COLUMNS: dict[str, dict[str, pa.DataType]] = {
         "parent": COUNT,
         "performance": REAL,
         "status": TEXT,
+        "dt": REAL,
+        "bound": TEXT,
         "limited": COUNT,
         "diverged_at": REAL,
         "reused": YES_NO,

@@ -78,7 +78,8 @@ class Manifest:
             self.conditions[line["condition"]] = {"config": line["config"], "kernel": line["kernel"]}
         elif line["kind"] == "run":
             key = line["condition"], int(line["seed"])
-            self.runs[key] = {"status": line["status"], "diverged": line["diverged"], "files": line["files"]}
+            self.runs[key] = {name: line[name] for name in ("status", "diverged", "files")}
+            self.runs[key]["refined"] = line.get("refined", 0)  # a line of schema version 1 has none
             self.failures.pop(key, None)
         elif line["kind"] == "failure":
             self.failures |= {(line["condition"], int(seed)): line["error"] for seed in line["seeds"]}
@@ -292,7 +293,7 @@ class Store:
         files = {name: self._write(name, run, table) for name, table in tables.items()}
         condition, seed = run
         # Repeated here so that `wobblesim status` need not open a file for each run.
-        told = tables["runs"].select(["status", "diverged"]).to_pylist()[0]
+        told = tables["runs"].select(["status", "diverged", "refined"]).to_pylist()[0]
         line = {"kind": "run", "condition": condition, "seed": seed, **told, "files": files}
         self._append(line | {"written": datetime.now(UTC).isoformat(timespec="seconds")})
 

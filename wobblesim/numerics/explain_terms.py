@@ -1,0 +1,307 @@
+"""Which terms of a scene are compiled in, and what each of them costs here and now.
+
+A term without effect is None in the integrator's constants, and None is compiled to nothing. What a term costs is
+timed on two kernels that move the robot alike: one with the term, too weak to move anything, and one without it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from wobblesim.learning.run import Setup
+from wobblesim.physics.contract import Method, System, system_of
+from wobblesim.physics.registry import INTEGRATORS
+from wobblesim.physics.scene import Floor
+from wobblesim.physics.simulate import VECTOR_BYTES, Trials, simulate
+from wobblesim.robot.body import Body
+
+FAINT = 1e-150
+"""Weak beyond notice, and yet not left out; its products in float64 are no subnormal numbers, which are slow."""
+NEARLY_ELASTIC = 1 - 1e-12
+"""Restitution of the weakest dashpot of a compliant floor."""
+
+RECORDED_EVERY = 10  # steps
+TIMED = 0.04  # s: length of a timed call
+LEAST_ROUNDS = 3
+
+IN, LEFT_OUT, NO_CODE = "in", "left out", "no code"
+
+
+@dataclass(frozen=True)
+class Term:
+    """One term of a scene.
+
+    Attributes
+    ----------
+    name : str
+    state : str
+        ``in``; ``left out``; ``no code``: the scene may have it, and the kernel is the same without.
+    why : str
+        What the scene says of it.
+    cost : float or None
+        µs a lane-step, with the term minus without it; None where it has no code, or could not be timed.
+    percent : float or None
+        Of the lane-step of the scene as it is.
+    """
+
+    name: str
+    state: str
+    why: str
+    cost: float | None
+    percent: float | None
+
+
+@dataclass(frozen=True)
+class Costs:
+    """The terms of one scene, timed on one thread in full blocks.
+
+    Attributes
+    ----------
+    lane_step : float
+        µs, of the scene as it is.
+    noise : float
+        µs: how far two timings of one kernel lie apart; a smaller cost is none.
+    lanes : int
+        Robots in a block.
+    terms : tuple of Term
+    """
+
+    lane_step: float
+    noise: float
+    lanes: int
+    terms: tuple[Term, ...]
+
+
+def system_and_method(setup: Setup) -> tuple[System, Method]:
+    """What a setup's adult becomes for its integrator; ValueError if that refuses the step."""
+    system = system_of(setup.body, setup.scene, 1.0)
+    physics = setup.physics
+    return system, INTEGRATORS[physics.integrator].prepare(system, physics, np.dtype(physics.precision))
+
+
+def full_block(setup: Setup) -> int:
+    """Lanes of a full block."""
+    return INTEGRATORS[setup.physics.integrator].registers * VECTOR_BYTES // np.dtype(setup.physics.precision).itemsize
+
+
+def specialisation(setup: Setup) -> tuple[bool, ...]:
+    """Which of the arguments of the compiled step are None: setups that differ here have different kernels."""
+    system, method = system_and_method(setup)
+    arguments = (
+        *method.constants,
+        method.floor,
+        method.friction,
+        system.muscle_row if len(system.muscle_row) else None,
+    )
+    return tuple(argument is None for argument in arguments)
+
+
+# --- a setup without a term, and with a faint one ----------------------------------------------------------------
+
+
+def _body(setup: Setup, **changes: Any) -> Setup:
+    return replace(setup, body=replace(setup.body, build=None, **changes))
+
+
+def _gravity(setup: Setup, size: float) -> Setup:
+    return replace(setup, scene=replace(setup.scene, gravity=size))
+
+
+def _friction(setup: Setup, size: float) -> Setup:
+    return _body(setup, friction=np.full(setup.body.n_nodes, size))
+
+
+def _damping(setup: Setup, size: float) -> Setup:
+    return _body(setup, damping_ratio=np.full(setup.body.n_springs, size))
+
+
+def _restitution(setup: Setup, size: float) -> Setup:
+    """A floor that rebounds with 0 (rigid) or 1 (compliant), or off it by next to nothing."""
+    if setup.scene.floor is None:
+        return setup
+    is_rigid = INTEGRATORS[setup.physics.integrator].contact == "rigid"
+    value = size if is_rigid else NEARLY_ELASTIC if size else 1.0
+    return replace(setup, scene=replace(setup.scene, floor=replace(setup.scene.floor, restitution=value)))
+
+
+def _floor(setup: Setup, size: float) -> Setup:
+    """No floor, or the setup's own; one that has none is put on a floor with its lowest node."""
+    scene = setup.scene
+    if not size:
+        return replace(setup, scene=replace(scene, floor=None))
+    if scene.floor is not None:
+        return setup
+    position = setup.body.position - [0.0, setup.body.position[:, 1].min()]
+    return replace(_body(setup, position=position), scene=replace(scene, floor=Floor()))
+
+
+def _muscles(setup: Setup, size: float) -> Setup:
+    """Muscles that do not move, or none."""
+    if size:
+        return replace(setup, gait=replace(setup.gait, max_amplitude=size))
+    none = np.zeros(0, np.int64)
+    return _body(setup, muscle_spring=none, muscle_group=none, muscle_sign=np.zeros(0), n_groups=0)
+
+
+SIZED: dict[str, Callable[[Setup, float], Setup]] = {
+    "gravity": _gravity,
+    "floor": _floor,
+    "friction": _friction,
+    "restitution": _restitution,
+    "damping": _damping,
+    "muscles": _muscles,
+}
+"""For each term ``(setup, size) -> setup``: size 0 leaves the term out, `FAINT` has it compiled in."""
+
+
+# --- what the scene says ---------------------------------------------------------------------------------------
+
+
+def _states(setup: Setup) -> dict[str, str]:
+    own = specialisation(setup)
+    states = {}
+    for name, sized in SIZED.items():
+        without = specialisation(sized(setup, 0.0))
+        has_code = specialisation(sized(setup, FAINT)) != without
+        states[name] = LEFT_OUT if own == without and not _asked_for(name, setup) else IN if has_code else NO_CODE
+    return states
+
+
+def _asked_for(name: str, setup: Setup) -> bool:
+    """Whether a scene has a term, be it compiled in as code of its own or not."""
+    return name == "damping" and bool(setup.body.damping_ratio.any())
+
+
+def _why(setup: Setup) -> dict[str, str]:
+    body, floor = setup.body, setup.scene.floor
+    gx, gy = setup.scene.gravity_vector
+    of_floor = "there is no floor" if floor is None else None
+    return {
+        "gravity": f"{gx:g}, {gy:g} u/s²" if gx else f"{-gy:g} u/s² down",
+        "floor": of_floor or f"{INTEGRATORS[setup.physics.integrator].contact} contact",
+        "friction": of_floor or f"coefficients {_range(body.friction)}",
+        "restitution": of_floor or f"{floor and floor.restitution:g}",
+        "damping": f"damping ratios {_range(body.damping_ratio)}",
+        "muscles": f"{len(body.muscle_spring)} springs in {body.n_groups} groups",
+        "recording": "a sweep keeps no positions",
+    }
+
+
+def _range(values: np.ndarray) -> str:
+    least, most = values.min(initial=np.inf), values.max(initial=-np.inf)
+    return f"{least:g}" if least == most else f"{least:g} to {most:g}"
+
+
+# --- what it costs ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Calls of `simulate` that are timed side by side: full blocks, one thread."""
+
+    lanes: int
+    blocks: int
+    steps: int
+
+    def call(self, setup: Setup, record_every: int | None = None) -> Trials:
+        # A trial that leaves the bounds must not be repeated: it would be timed several times.
+        physics = replace(setup.physics, refinements=0)
+        behaviours = np.random.default_rng(0).random((self.lanes * self.blocks, 2 * setup.body.n_groups))
+        return simulate(
+            setup.body, behaviours, scene=setup.scene, physics=physics, gait=setup.gait,
+            duration=self.steps * physics.dt, record_every=record_every, threads=1, width=self.lanes,
+        )  # fmt: skip
+
+    def microseconds(self, seconds: float) -> float:
+        """Of a lane-step, from the time of a call."""
+        return 1e6 * seconds / (self.lanes * self.blocks * self.steps)
+
+
+def _clock(setup: Setup) -> _Clock:
+    """As many steps as a trial has, or fewer, and as many blocks, as take the time that is wanted."""
+    width, trial = full_block(setup), max(1, round(setup.duration / setup.physics.dt))
+    short = _Clock(width, 1, min(trial, 100))
+    short.call(setup)
+    of_block = min(_time(lambda: short.call(setup)) for _ in range(2)) / short.steps
+    steps = max(1, min(trial, int(TIMED / of_block)))
+    return _Clock(width, max(1, min(8, int(TIMED / (of_block * steps)))), steps)
+
+
+def _time(work: Callable[[], Any]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def measure(setup: Setup, seconds: float) -> Costs:
+    """Time every term of a setup's scene, kernels compiled first.
+
+    Parameters
+    ----------
+    setup : Setup
+    seconds : float
+        About how long to time; compiling comes on top.
+
+    Raises
+    ------
+    ValueError
+        If the integrator refuses the step.
+    """
+    states, why, clock = _states(setup), _why(setup), _clock(setup)
+    calls = {"scene": (lambda: clock.call(setup)), "recording": (lambda: clock.call(setup, RECORDED_EVERY))}
+    for name, sized in SIZED.items():
+        if _has_two_kernels(setup, name):
+            for size in (0.0, FAINT):
+                calls[name, size] = lambda changed=sized(setup, size): clock.call(changed)
+    best, noise = _interleaved(calls, seconds)
+    scene = clock.microseconds(best["scene"])
+    seen = {name: best.get((name, FAINT), np.nan) - best.get((name, 0.0), np.nan) for name in SIZED}
+    seen["recording"] = best.get("recording", np.nan) - best["scene"]
+    cost = {name: clock.microseconds(value) for name, value in seen.items()}
+    terms = tuple(
+        Term(name, states.get(name, LEFT_OUT), why[name], *(_known(cost[name]), _known(100 * cost[name] / scene)))
+        for name in (*SIZED, "recording")
+    )
+    return Costs(scene, clock.microseconds(noise), clock.lanes, terms)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _has_two_kernels(setup: Setup, name: str) -> bool:
+    """Whether a term has code of its own, and can be timed in this scene."""
+    try:
+        return specialisation(SIZED[name](setup, FAINT)) != specialisation(SIZED[name](setup, 0.0))
+    except ValueError:  # the integrator refuses the step without the term
+        return False
+
+
+def _interleaved(calls: Mapping[Hashable, Callable[[], Trials]], seconds: float) -> tuple[dict[Hashable, float], float]:
+    """Least time of each call, those left out whose trials diverge, and how far the least of even and odd rounds lie apart."""
+    sound = {name: call for name, call in calls.items() if name == "scene" or not (call().status == "diverged").any()}
+    times: dict[Hashable, list[float]] = {name: [] for name in sound}
+    end, rounds = time.perf_counter() + seconds, 0
+    while rounds < LEAST_ROUNDS or time.perf_counter() < end:
+        for name, call in sound.items():
+            times[name].append(_time(call))
+        rounds += 1
+    noise = float(np.median([abs(min(each[::2]) - min(each[1::2])) for each in times.values()]))
+    return {name: min(each) for name, each in times.items()}, noise
+
+
+def alike(setup: Setup) -> tuple[Hashable, ...]:
+    """Setups of equal keys have the same kernels on bodies of the same size: their lane-steps cost the same."""
+    physics, body = setup.physics, setup.body
+    sizes = (body.n_nodes, body.n_springs, len(body.muscle_spring), body.n_groups)
+    return physics.integrator, physics.precision, physics.iterations, sizes, specialisation(setup)
+
+
+def has_floor_under(body: Body) -> bool:
+    """Whether a body lies on or above y = 0."""
+    return bool(body.position[:, 1].min() >= 0)
