@@ -170,7 +170,7 @@ def test_changed_settings_in_the_same_folder_are_refused_with_their_keys():
     for dry in ([], ["--dry-run"]):
         found = call("sweep", "three.yaml", "--set", "physics.dt=0.005", *dry)
         assert found.exit_code == 2
-        assert "fixed: physics.dt is 0.01 there and 0.005 here" in found.stderr
+        assert "fixed: physics.dt is 0.02 there and 0.005 here" in found.stderr
         assert found.stderr.count("\n") == 1
 
 

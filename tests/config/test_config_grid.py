@@ -244,6 +244,6 @@ def test_columns_are_flat_and_the_same_for_all() -> None:
     assert (b["scene.gravity.x"], b["scene.gravity.y"]) == (0, -100)
     assert (c["scene.gravity.x"], c["scene.gravity.y"]) == (1, 2)
     assert (b["robot.arms"], c["robot.arms"], b["robot.nodes"], c["robot.nodes"]) == (6, None, None, 2)
-    assert (b["scene.floor.stiffness"], c["scene.floor.stiffness"]) == (20_000, None)
+    assert (b["scene.floor.stiffness"], c["scene.floor.stiffness"]) == (10_000, None)
     assert c["robot.digest"]
-    assert b["physics.dt"] == 0.01
+    assert b["physics.dt"] == 0.02

@@ -264,7 +264,7 @@ conditions:
     ("text", "line", "words"),
     [
         ("name: a\nlearning:\n  population: 5\n", 3, "at most 4 parents"),
-        ("name: a\ntrial: {duration: 0.001}\n", 2, "shorter than one step of 0.01 s"),
+        ("name: a\ntrial: {duration: 0.001}\n", 2, "shorter than one step of 0.02 s"),
         ("name: a\ntrial: {duration: 86400}\nphysics:\n  dt: 1.0e-6\n", 2, "at most 100,000,000"),
         ("name: a\nrobot: {kind: starfish, sections: 1}\n", 2, "2 motor groups cannot share 1 sections"),
         ("name: a\nrobot: {kind: starfish, width: 200}\n", 2, "use a height above 85"),

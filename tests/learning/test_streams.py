@@ -18,6 +18,8 @@ def landscape(body, behaviours, **_) -> Trials:
     return Trials(
         displacement=behaviours[:, 0],
         status=np.full(n, "ok"),
+        dt=np.full(n, 0.01),
+        bound=np.full(n, ""),
         limited=np.zeros(n, np.int64),
         diverged_at=np.full(n, np.nan),
         inverted=np.zeros(n, np.int64),

@@ -120,6 +120,8 @@ def test_cheapest_setting_is_below_the_bound_and_never_a_failed_one():
     goal = accuracy_verdict.goal(rows)
     assert (goal.ours.seconds, goal.ratio) == (2.0, 50.0)
     assert accuracy_verdict.goal(rows[:-1]) is None
+    ranked = [replace(row, rank=rank) for row, rank in zip(rows, [0.9, 0.95, 0.97, 0.99, math.nan, 0.8], strict=True)]
+    assert accuracy_verdict.goal(ranked, "rank").ratio == 100.0
 
 
 def test_page_says_what_the_rows_say():

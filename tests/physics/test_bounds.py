@@ -188,7 +188,7 @@ def test_looking_changes_no_bits(integrator):
 
 # --- a trial that leaves them is tried again with a smaller step ---------------------------------------------------
 
-LIGHT, RINGING = ws.Morphology(mass=0.2), {"theta": 0.5, "dt": 0.02}
+LIGHT, RINGING = ws.Morphology(mass=0.07), {"theta": 0.5, "dt": 0.02}
 
 
 def ring(trials=slice(0, 32), record_every=None, duration=20.0, **physics):
@@ -209,22 +209,21 @@ def ringing():
 def test_what_blows_up_is_found_and_does_not_once_the_step_is_small_enough(ringing):
     coarse, refined = ringing
     left = coarse.status == "diverged"
-    assert left.sum() >= 8  # measured 12 of 32 in 20 s, and 172 of 256 in 60 s
+    assert left.sum() >= 8  # measured 22 of 32
     assert set(coarse.bound[left]) <= {"energy", "speed", "strain"}
     assert np.isnan(coarse.displacement[left]).all()
     assert (refined.status[left] == "refined").all()
     np.testing.assert_array_equal(refined.bound, coarse.bound)
     assert np.isnan(refined.diverged_at).all()
-    assert np.abs(refined.displacement).max() < 5.0  # measured 2.1 body lengths
+    assert np.abs(refined.displacement).max() < 5.0  # measured 3.2 body lengths
 
 
 def test_without_bounds_a_blow_up_may_end_in_a_finite_score_that_is_the_best_of_all(ringing):
-    # The prototype's lesson: a score is whatever place is finite when the trial ends. Most of these go on to infinity;
-    # at 20 s one has come to rest 2.95e13 body lengths away.
+    # The prototype's lesson: a score is whatever place is finite when the trial ends.
     unbound, body = ring(refinements=0, record_every=1, **UNBOUND), ws.starfish()
     place = unbound.positions[:, body.center, 0].mean(axis=1, dtype=np.float64) / body.body_length
     far = (np.isfinite(place) & (np.abs(place) > 1e6)).any(axis=0)
-    assert far.sum() >= 8  # measured 12 of 32
+    assert far.sum() >= 8  # measured 22 of 32
     assert (ringing[0].status[far] == "diverged").all()
 
 
@@ -234,7 +233,7 @@ def test_a_refined_trial_has_the_bits_of_a_trial_with_that_step_and_others_have_
     assert same(refined, ring(~left, refinements=0), ~left)
     for dt in np.unique(refined.dt[left]):  # measured: all at half the step
         chosen = left & (refined.dt == dt)
-        assert 0 < dt < 0.02
+        assert 0 < dt < RINGING["dt"]
         assert same(refined, ring(chosen, refinements=0, dt=dt), chosen, but=("status", "bound"))
     one = int(np.flatnonzero(left)[0])
     assert same(refined, ring(slice(one, one + 1)), slice(one, one + 1))

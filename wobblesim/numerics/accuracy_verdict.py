@@ -49,13 +49,15 @@ def _cost(row: Row) -> tuple[float, bool, float]:
     return row.seconds, not row.usual, row.error
 
 
-def goal(rows: Sequence[Row]) -> Goal | None:
-    """Compare with the paper's engine on one lane; None if it was not measured."""
+def goal(rows: Sequence[Row], measure: str = "performance_median") -> Goal | None:
+    """Compare with the paper's engine on one lane, by an error or by ``rank``; None if it was not measured."""
     judged = [r for r in whole(rows, JUDGED) if math.isfinite(r.error + r.seconds)]
     theirs = next((r for r in judged if r.width == 1), None)
     if theirs is None:
         return None
-    return Goal(min((r for r in judged if r.error <= theirs.error), key=_cost), theirs)
+    sign = -1.0 if measure == "rank" else 1.0
+    as_good = [r for r in judged if sign * getattr(r, measure) <= sign * getattr(theirs, measure)]
+    return Goal(min(as_good, key=_cost, default=theirs), theirs)
 
 
 def named(row: Row) -> str:
