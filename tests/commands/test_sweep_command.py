@@ -125,8 +125,8 @@ def test_options_override_the_file():
 def test_a_dry_run_counts_and_writes_nothing(tmp_path):
     found = call("sweep", "three.yaml", "--dry-run", "--json")
     data = json.loads(found.stdout)
-    # 50 steps; 20 behaviours while the morphology may change (epoch 0; epochs 0 to 3), 15 after that.
-    fixed, mass = 2 * 50 * (20 + 5 * 15), 2 * 50 * (4 * 20 + 2 * 15)
+    # 25 steps; 20 behaviours while the morphology may change (epoch 0; epochs 0 to 3), 15 after that.
+    fixed, mass = 2 * 25 * (20 + 5 * 15), 2 * 25 * (4 * 20 + 2 * 15)
     assert [row["lane_steps"] for row in data["conditions"]] == [fixed, mass]
     assert (data["missing"], data["lane_steps"]) == (4, fixed + mass)
     assert [path.name for path in tmp_path.iterdir()] == ["three.yaml"]
@@ -297,3 +297,11 @@ def test_plain_lines_come_at_least_as_often_as_promised(capsys):
 )
 def test_a_time_is_said_in_the_unit_that_fits(seconds, said):
     assert duration(seconds) == said
+
+
+def test_a_wobble_beyond_the_safe_region_is_told_with_the_step_that_would_do():
+    found = call("sweep", "three.yaml", "--set", "physics.integrator=impulse", "--dry-run")
+    assert found.exit_code == 0
+    assert re.search(r"warning: mass: mass goes from .* impulse at dt 0\.02 is stable .* would be", found.stderr)
+    assert "(measured with another robot" in found.stderr
+    assert "warning" not in call("sweep", "three.yaml", "--dry-run").stderr

@@ -140,11 +140,11 @@ def test_an_eighth_of_the_step_costs_about_eight_times_as_much():
     case = SCENES["gait"](True)[0]
     settings = [(ws.Physics(dt=dt), None) for dt in (0.02, 0.0025)]
     long, short = seconds_per_second(case, settings, repeats=3, most=16_000).values()
-    assert 3 < short / long < 25  # measured 5.6 to 12.7 on a busy machine
+    assert 3 < short / long < 25  # measured 5.6 to 15.6 on a busy machine
 
 
 def test_next_to_nothing_hardly_moves_a_gait_for_5_s():  # DT-11
     moved = {(s.change[:5], s.duration): s.largest for s in sensitivity(short=True)}
-    assert 0 < moved["masse", 5.0] < 1e-9  # body lengths, measured 5.2e-12
-    assert moved["masse", 5.0] < moved["masse", 10.0] < 1e-6  # measured 2.0e-9
-    assert moved["float", 5.0] < 1e-3  # measured 1.8e-5
+    assert 0 < moved["masse", 5.0] < 1e-9  # body lengths, measured 1.2e-12
+    assert moved["masse", 5.0] < moved["masse", 10.0] < 1e-6  # measured 4.9e-11
+    assert moved["float", 5.0] < 1e-3  # measured 6.9e-6

@@ -65,6 +65,7 @@ def command(
     loaded = load_config(config, settings, seeds)
     for remark in remarks(loaded):
         click.echo(f"note: {remark}", err=True)
+    _warn_of_unsafe_wobbles(loaded)
     folder = out or Path("results", loaded.name)
     if dry_run:
         _preview(loaded, folder, as_json)
@@ -79,6 +80,20 @@ def command(
             f"{plural(outcome.failed, 'run')} failed: see `wobblesim status {shlex.quote(str(folder))}`", err=True
         )
         ctx.exit(SOME_FAILED)
+
+
+def _warn_of_unsafe_wobbles(config: SweepConfig) -> None:
+    """Say which conditions leave the region where the integrator is known to be stable, and the step that would do."""
+    from wobblesim.numerics.safety import remarks
+    from wobblesim.study.plan import study
+
+    warned: dict[str, list[str]] = {}
+    for condition, setup in study(config).setups.items():
+        for remark in remarks(setup):
+            warned.setdefault(remark, []).append(condition)
+    for remark, conditions in warned.items():
+        others = f" and {plural(len(conditions) - 1, 'other')}" if len(conditions) > 1 else ""
+        click.echo(f"warning: {conditions[0]}{others}: {remark}", err=True)
 
 
 def _run(config: SweepConfig, folder: Path, threads: int | None, progress: str) -> Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import resource
 import statistics
@@ -10,7 +11,6 @@ import tempfile
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -180,7 +180,7 @@ def _scenes(study: Study, seconds: float) -> tuple[SceneCosts, ...]:
 def still_epochs(setup: Setup) -> int:
     """Epochs of a run in which the morphology is that of the epoch before: kept behaviours are not tried again."""
     morphologies = [setup.morphology(epoch) for epoch in range(setup.epochs)]
-    return sum(before == after for before, after in zip(morphologies, morphologies[1:], strict=False))
+    return sum(before == after for before, after in itertools.pairwise(morphologies))
 
 
 def _work(study: Study, name: str, present: int, sizes: list[int], probes: Probes) -> Work:
@@ -345,9 +345,9 @@ def _time(work: Callable[[], Any]) -> float:
 
 
 def keep_books(study: Study, condition: str, stored: Mapping[str, Any], seeds: int) -> Books:
-    """Run the learner on trials that cost nothing, with random scores, and store what it has done in a passing folder."""
+    """Run the learner on trials that cost nothing, with random scores; store what it has done in a passing folder."""
     setup = replace(study.setups[condition], epochs=min(LOGGED, study.setups[condition].epochs))
-    learner = Learner(setup, range(seeds), simulate=_instant())
+    learner = Learner(setup, range(seeds), simulate=_instant(setup))
     log, begun = Log(learner.seeds, study.conditions[condition].log), time.perf_counter()
     while not learner.done and (learner.epoch < 4 or time.perf_counter() < begun + PATIENCE):
         log.add(learner.advance())
@@ -378,17 +378,18 @@ def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def _instant() -> Callable[..., Trials]:
-    """Trials of one step whose displacements are random; each number of trials is simulated once."""
-    rng = np.random.default_rng(0)
+def _instant(setup: Setup) -> Callable[..., Trials]:
+    """Trials of one step whose displacements are random; one is simulated, here."""
+    lanes, rng = full_block(setup), np.random.default_rng(0)
+    behaviours = rng.random((lanes, 2 * setup.body.n_groups))
+    options = {"scene": setup.scene, "physics": setup.physics, "gait": setup.gait, "duration": setup.physics.dt}
+    known = vars(simulate(setup.body, behaviours, threads=1, width=lanes, **options))
 
-    @cache
-    def of_one_step(body: Any, n_trials: int, scene: Any, physics: Any) -> Trials:
-        still = np.zeros((n_trials, 2 * body.n_groups))
-        return simulate(body, still, scene=scene, physics=physics, duration=physics.dt, width=1, threads=1)
-
-    def instant(body: Any, behaviours: np.ndarray, *, scene: Any, physics: Any, **_: Any) -> Trials:
-        trials = of_one_step(body, len(behaviours), scene, physics)
-        return replace(trials, displacement=rng.normal(size=len(behaviours)))
+    def instant(body: Any, behaviours: np.ndarray, **_: Any) -> Trials:
+        n = len(behaviours)
+        alike: dict[str, Any] = {
+            name: None if value is None else np.repeat(value[:1], n) for name, value in known.items()
+        }
+        return Trials(**alike | {"displacement": rng.normal(size=n)})
 
     return instant

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -252,11 +253,13 @@ def measure(setup: Setup, seconds: float) -> Costs:
         If the integrator refuses the step.
     """
     states, why, clock = _states(setup), _why(setup), _clock(setup)
-    calls = {"scene": (lambda: clock.call(setup)), "recording": (lambda: clock.call(setup, RECORDED_EVERY))}
+    calls: dict[Hashable, Callable[[], Trials]] = {
+        "scene": partial(clock.call, setup),
+        "recording": partial(clock.call, setup, RECORDED_EVERY),
+    }
     for name, sized in SIZED.items():
         if _has_two_kernels(setup, name):
-            for size in (0.0, FAINT):
-                calls[name, size] = lambda changed=sized(setup, size): clock.call(changed)
+            calls |= {(name, size): partial(clock.call, sized(setup, size)) for size in (0.0, FAINT)}
     best, noise = _interleaved(calls, seconds)
     scene = clock.microseconds(best["scene"])
     seen = {name: best.get((name, FAINT), np.nan) - best.get((name, 0.0), np.nan) for name in SIZED}
@@ -299,4 +302,3 @@ def alike(setup: Setup) -> tuple[Hashable, ...]:
     physics, body = setup.physics, setup.body
     sizes = (body.n_nodes, body.n_springs, len(body.muscle_spring), body.n_groups)
     return physics.integrator, physics.precision, physics.iterations, sizes, specialisation(setup)
-

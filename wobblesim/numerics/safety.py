@@ -138,6 +138,8 @@ def _safe_step(steps: Mapping[float, Any], dt: float, dimension: str, needed: Ra
 def remarks(setup: Setup, known: Mapping[str, Any] | None = None) -> list[str]:
     """What a setup leaves the safe region with, a sentence each, ready to be shown before a sweep."""
     findings = unsafe(setup.physics.integrator, setup.physics.dt, factor_ranges(setup.wobble), known)
+    if not findings:
+        return []
     other = differences(setup, known)
     caveat = f" (measured with another {' and '.join(other)})" if other else ""
     return [f"{finding}{caveat}" for finding in findings]
