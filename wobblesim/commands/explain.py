@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wobblesim.commands.display import duration
 from wobblesim.commands.options import config_options, echo_json, json_option, plural, print_table, table
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ COSTS = """\
 A cost is the time of a lane-step with the term, but too weak to move anything, minus that of the same scene
 without it; for the floor it is the scene as it is minus free flight, for recording every 10th step is kept.
 Full blocks, one thread. Two timings of one kernel differ by {noise:.3f} µs here; two kernels may differ by a few
-percent, either way, for how they happen to be compiled.
+percent, either way, for how they happen to be compiled. –: has no code of its own here, or cannot move without.
 """
 
 REUSE = "Of the missing runs. A kept behaviour is not tried again while its robot rests: the outcome is known."
@@ -133,9 +134,7 @@ def _print_needs(found: Explanation, folder: Path) -> None:
 
 
 def _duration(seconds: float) -> str:
-    if seconds < 600:
-        return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 36_000 else f"{seconds / 3600:.0f} h"
+    return f"{seconds:.2g} s" if seconds < 10 else duration(seconds)
 
 
 def _bytes(count: int) -> str:

@@ -58,11 +58,12 @@ def _without_nan(data: Any) -> Any:
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None) -> Table:
     """A table whose first column is words and whose others are numbers."""
     from rich import box
+    from rich.markup import escape
     from rich.table import Table
 
     made = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", pad_edge=False, padding=(0, 1, 0, 0))
     for place, name in enumerate(columns):
-        made.add_column(name, justify="right" if place else "left", no_wrap=place == 0)
+        made.add_column(escape(name), justify="right" if place else "left", no_wrap=place == 0)
     for row in rows:
         made.add_row(*row)
     return made

@@ -387,9 +387,7 @@ def _instant(setup: Setup) -> Callable[..., Trials]:
 
     def instant(body: Any, behaviours: np.ndarray, **_: Any) -> Trials:
         n = len(behaviours)
-        alike: dict[str, Any] = {
-            name: None if value is None else np.repeat(value[:1], n) for name, value in known.items()
-        }
-        return Trials(**alike | {"displacement": rng.normal(size=n)})
+        alike = {name: None if value is None else np.repeat(value[:1], n) for name, value in known.items()}
+        return replace(Trials(**alike), displacement=rng.normal(size=n))
 
     return instant

@@ -26,8 +26,9 @@ NEARLY_ELASTIC = 1 - 1e-12
 """Restitution of the weakest dashpot of a compliant floor."""
 
 RECORDED_EVERY = 10  # steps
-TIMED = 0.04  # s: length of a timed call
-LEAST_ROUNDS = 3
+TIMED = 0.01  # s: length of a timed call; the least of many short ones says more than that of few long ones
+MOST_STEPS = 500  # of a timed call: without damping a robot lasts no longer
+LEAST_ROUNDS = 5
 
 IN, LEFT_OUT, NO_CODE = "in", "left out", "no code"
 
@@ -224,12 +225,12 @@ class _Clock:
 
 def _clock(setup: Setup) -> _Clock:
     """As many steps as a trial has, or fewer, and as many blocks, as take the time that is wanted."""
-    width, trial = full_block(setup), max(1, round(setup.duration / setup.physics.dt))
-    short = _Clock(width, 1, min(trial, 100))
+    most = min(MOST_STEPS, max(1, round(setup.duration / setup.physics.dt)))
+    short = _Clock(full_block(setup), 1, min(100, most))
     short.call(setup)
-    of_block = min(_time(lambda: short.call(setup)) for _ in range(2)) / short.steps
-    steps = max(1, min(trial, int(TIMED / of_block)))
-    return _Clock(width, max(1, min(8, int(TIMED / (of_block * steps)))), steps)
+    a_step = min(_time(lambda: short.call(setup)) for _ in range(3)) / short.steps
+    steps = max(1, min(most, int(TIMED / a_step)))
+    return _Clock(short.lanes, max(1, int(TIMED / (a_step * steps))), steps)
 
 
 def _time(work: Callable[[], Any]) -> float:
