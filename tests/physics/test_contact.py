@@ -37,10 +37,10 @@ def test_grain_sticks_below_the_friction_angle(integrator, tangent):  # CF-1
     down, into = incline(tangent)
     depth, deflection = (0.0, 0.0) if integrator == "impulse" else (-into / STIFFNESS, down / STIFFNESS)
     x = grain_path(integrator, ws.Scene(gravity=(down, into)), 5.0, height=-depth)[:, 0]
-    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6  # no creep; measured 5.3e-11
-    # The tangential spring, damped with ratio 0.2, overshoots to 1.53 times the pull: beyond mu above tan 0.33, where
-    # the anchor slips once before it holds (measured 0.03 u at tan 0.49).
-    assert abs(x[-1] - deflection) < (1e-6 if tangent < 0.33 else 0.1)
+    assert np.ptp(x[round(1 / DT[integrator]) :]) < 1e-6  # no creep; measured 4.2e-7, the end of a swing at dt 0.02
+    # The tangential spring, damped with ratio 0.2, overshoots to 1.53 times the pull, at omega h = 2 to 1.67: beyond mu
+    # above tan 0.3, where the anchor slips once before it holds (measured 0.074 u at tan 0.49).
+    assert abs(x[-1] - deflection) < (1e-6 if tangent < 0.3 else 0.1)
 
 
 @pytest.mark.parametrize("tangent", [0.51, 0.55, 0.6])
@@ -90,17 +90,18 @@ def stopping_distances(integrator, frictions, speed, **options):
     """Distances of sliding grains that start at rest depth."""
     depth = 0.0 if integrator == "impulse" else GRAVITY / STIFFNESS
     body = grains(np.tile((speed, 0.0), (len(frictions), 1)), height=-depth, friction=frictions)
-    physics = ws.Physics(integrator=integrator, dt=DT[integrator], precision="float64", **options)
+    physics = ws.Physics(**{"integrator": integrator, "dt": DT[integrator], "precision": "float64"} | options)
     trials = ws.simulate(body, still(body), physics=physics, duration=8.0, record_every=round(8 / physics.dt))
     return np.diff(trials.positions[:, :, 0, 0], axis=0)[0]
 
 
+@pytest.mark.parametrize("part", [1, 2, 5, 20])
 @pytest.mark.parametrize("integrator", COMPLIANT)
-def test_sliding_grain_stops_where_coulomb_says(integrator):  # CF-2
+def test_sliding_grain_stops_where_coulomb_says(integrator, part):  # CF-2
     frictions = np.array([0.75, 0.5, 0.35, 0.1, 0.0])
-    distances = stopping_distances(integrator, frictions, 50.0)
-    np.testing.assert_allclose(distances[:-1], 50.0**2 / (2 * frictions[:-1] * GRAVITY), rtol=0.01)  # 2.1e-4
-    assert distances[-1] == pytest.approx(50.0 * 8.0, rel=1e-11)  # measured 9.1e-13, of RK4; 0 of midpoint
+    distances = stopping_distances(integrator, frictions, 50.0, dt=DT[integrator] / part)
+    np.testing.assert_allclose(distances[:-1], 50.0**2 / (2 * frictions[:-1] * GRAVITY), rtol=1e-3)  # 4.3e-4
+    assert distances[-1] == pytest.approx(50.0 * 8.0, rel=1e-10)  # measured 2.2e-11
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 5, 20])
@@ -149,9 +150,9 @@ def test_compliant_rebound_converges_to_the_restitution(integrator, restitution)
     assert errors[-1] < REBOUND_ERROR[integrator]
 
 
-SOFT = 5000.0  # 1/s2: impacts of 44 ms and more, well resolved by the steps below
-BOUNCES = [(1.0, 2.0), (0.8, 1.8), (0.6, 1.2)]  # restitution, and a time after which a grain from 5 u is in the air
-BOUNCE_STEPS = 0.002 * 0.5 ** np.arange(4)
+SOFT = 5000.0  # 1/s2: impacts of 44 ms and more
+BOUNCES = [(1.0, 2.0), (0.8, 2.0), (0.6, 1.15)]  # restitution, and a time at which a grain from 5 u is in the air
+BOUNCE_STEPS = 0.001 * 0.5 ** np.arange(4)
 
 
 def bounced(restitution, dt, duration, friction=0.0, speed=0.0):
@@ -165,20 +166,39 @@ def test_bouncing_grain_converges_with_order_2_through_its_impacts(restitution, 
     height, contacts = bounce(5.0, GRAVITY, restitution, SOFT, duration)
     assert contacts >= 3
     errors = [abs(bounced(restitution, dt, duration)[1] - height) for dt in BOUNCE_STEPS]
-    assert slope(BOUNCE_STEPS, errors) == pytest.approx(2.0, abs=0.1)  # MEASURED
-    assert errors[-1] < HEIGHT_ERROR  # u, measured
+    assert slope(BOUNCE_STEPS, errors) == pytest.approx(2.0, abs=0.1)  # measured 1.95, 1.98, 1.92
+    assert errors[-1] < 1e-4  # u; measured 3.0e-6, 7.8e-5, 5.7e-6
 
 
-# A sliding grain has m x'' = -mu f_n = -mu m (y'' + g): what it loses along the floor follows from its height.
+# A grain that slides all the time has m x'' = -mu f_n = -mu m (y'' + g): where it is follows from its height.
 @pytest.mark.parametrize(("restitution", "duration"), BOUNCES)
-def test_grain_bouncing_along_the_floor_loses_what_coulomb_takes(restitution, duration):
+def test_grain_bouncing_along_the_floor_is_braked_with_order_2(restitution, duration):
     speed, friction = 80.0, 0.3
     height, contacts = bounce(5.0, GRAVITY, restitution, SOFT, duration)
     assert contacts >= 3
     exact = speed * duration - friction * (height - 5.0 + GRAVITY * duration**2 / 2)
     errors = [abs(bounced(restitution, dt, duration, friction, speed)[0] - exact) for dt in BOUNCE_STEPS]
-    assert slope(BOUNCE_STEPS, errors) == pytest.approx(SLIDING_ORDER, abs=0.2)
-    assert errors[-1] < PLACE_ERROR
+    assert slope(BOUNCE_STEPS, errors) == pytest.approx(2.0, abs=0.1)  # measured 1.95, 1.98, 1.92
+    assert errors[-1] < 3e-5  # u; measured 9.1e-7, 2.4e-5, 1.7e-6
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("omega_dt", [0.25, 1.0, 2.0])
+def test_impulses_of_the_floor_keep_to_the_friction_cone(omega_dt, restitution):  # CF-3
+    # Loose grains that land, slide, stick and leave: all that changes their momentum is the floor and their weight.
+    rng, n, dt = np.random.default_rng(5), 200, omega_dt / np.sqrt(STIFFNESS)
+    frictions = rng.uniform(0.1, 1, n)
+    body = grains(rng.normal(0, (20, 5), (n, 2)), friction=frictions)
+    body = replace(body, position=np.stack([np.zeros(n), rng.uniform(0, 1, n)], axis=1))  # near 0, for small roundings
+    scene, physics = ws.Scene(floor=ws.Floor(restitution=restitution)), ws.Physics(dt=dt, precision="float64")
+    x = ws.simulate(body, still(body), scene=scene, physics=physics, duration=200 * dt, record_every=1).positions
+    v = averaged_velocities(x[..., 0], body.velocity, dt)
+    tangent, normal = np.moveaxis(np.diff(v, axis=0), -1, 0) + np.array([0, GRAVITY * dt])[:, None, None]
+    assert normal.min() > -1e-8  # u/s; measured 5e-12
+    assert (np.abs(tangent) - frictions * normal).max() < 1e-8  # measured 2e-10
+    slips = np.abs(np.abs(tangent) - frictions * normal) < 1e-8
+    assert 0.02 < (slips & (normal > 1e-6)).mean() < 0.9  # both kinds occur
+    assert (~slips & (normal > 1e-6)).mean() > 0.02
 
 
 @pytest.mark.parametrize(
@@ -234,7 +254,7 @@ def test_fast_grains_do_not_pass_the_floor(integrator):  # CF-7
     x = trials.positions[..., 0]
     flying = (x[1:, :, 1] > 1) & (x[:-1, :, 1] > 1)
     rising = np.where(flying, np.diff(x[:, :, 1], axis=0), 0).max(axis=0) / physics.dt
-    assert (rising < 0.9 * speeds).all()  # measured 0.55; 0.87 in the worst phase of a touch-down, see the last test
+    assert (rising < 0.6 * speeds).all()  # measured 0.591; 0.593 in the worst phase of a touch-down, see the last test
     assert (x[-1, :, 1] >= -1.01 * GRAVITY / STIFFNESS).all()
 
 
@@ -245,9 +265,8 @@ def total_energy(body, x, v):
     return spring_energy(body, x) + kinetic_energy(body, v) + np.sum(weight_and_floor, axis=-1)
 
 
-# At restitution 1 the step itself gives energy to some touch-downs: see the next test.
-@pytest.mark.parametrize(("restitution", "gain"), [(0.0, 1e-9), (0.5, 1e-9), (1.0, 1e-3)])  # 8e-14, 8e-14, 4.8e-5
-def test_dropped_robot_gains_no_energy(restitution, gain):  # CF-9
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_dropped_robot_gains_no_energy(restitution):  # CF-9
     body = ws.starfish()
     body = replace(body, position=body.position + np.array([0.0, 200.0]))
     physics = ws.Physics(precision="float64")
@@ -255,26 +274,50 @@ def test_dropped_robot_gains_no_energy(restitution, gain):  # CF-9
     trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=60.0, record_every=1)
     x = trials.positions[..., 0]
     energy = total_energy(body, x, averaged_velocities(x, body.velocity, physics.dt))
-    assert energy.max() <= energy[0] * (1 + gain)
+    assert energy.max() <= energy[0] * (1 + 1e-9)  # measured 1e-13
 
 
-# A touch-down is noticed half a step late at worst, with the floor's spring compressed for nothing: a gain of up to
-# (omega h)^2 / 4 of the energy, omega = sqrt(stiffness), whatever the mass. The rebound of a lone node at the shipped
-# step over all phases of the touch-down, as measured: mean and largest. Up to a restitution of 0.6 (largest 0.953)
-# every touch-down loses energy; at 0.7 (largest 1.024) some gain. Below 0.21 all restitutions are alike: the dashpot
-# is bounded to what the step can bear, a damping ratio of 1/(omega h) = 0.71.
+def rebounds_over_phases(restitution, omega_dt, mass=1.0, speed=10.0, phases=200):
+    """Rebound over impact speed (phases,) of lone grains that touch down all over the step, without gravity."""
+    dt = omega_dt / np.sqrt(STIFFNESS)
+    body = grains(np.tile((0.0, -speed), (phases, 1)), friction=0.0, mass=mass)
+    lift = np.stack([np.zeros(phases), dt * speed * np.arange(phases) / phases], axis=1)
+    body = replace(body, position=body.position + lift)
+    scene, physics = (
+        ws.Scene(gravity=0.0, floor=ws.Floor(restitution=restitution)),
+        ws.Physics(dt=dt, precision="float64"),
+    )
+    trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=10 * dt + 0.5, record_every=1)
+    return (trials.positions[-1, :, 1, 0] - trials.positions[-2, :, 1, 0]) / (speed * dt)
+
+
+# Without gravity the rebound depends on the restitution and on omega h alone, omega the root of the stiffness: 2 at the
+# shipped step, 1 at half of it. Least, mean and largest, as docs/limits.md has them. At restitution 0 the dashpot is
+# bounded to what the step can bear, a damping ratio of 1/(omega h).
+REBOUNDS = {
+    (2.0, 0.0): (0.248, 0.298, 0.417),
+    (2.0, 0.5): (0.461, 0.506, 0.593),
+    (2.0, 1.0): (0.877, 0.926, 1.000),
+    (1.0, 0.0): (0.109, 0.136, 0.185),
+    (1.0, 0.5): (0.507, 0.521, 0.549),
+    (1.0, 1.0): (0.980, 0.991, 0.999),
+    (0.25, 0.0): (0.010, 0.012, 0.015),
+    (0.25, 0.5): (0.502, 0.503, 0.504),
+    (0.25, 1.0): (1.000, 1.000, 1.000),
+}
+
+
 @pytest.mark.parametrize("mass", [0.05, 1.0, 20.0])
-@pytest.mark.parametrize(
-    ("restitution", "mean", "largest"), [(0.0, 0.307, 0.538), (0.5, 0.610, 0.869), (1.0, 1.015, 1.188)]
-)
-def test_rebound_at_the_shipped_step_is_as_documented(restitution, mean, largest, mass):
-    speed, grains_n, step = 10.0, 200, ws.Physics().dt
-    velocity = np.tile((0.0, -speed), (grains_n, 1))
-    body = grains(velocity, friction=0.0, mass=mass)
-    phases = np.stack([np.zeros(grains_n), step * speed * np.arange(grains_n) / grains_n], axis=1)
-    body = replace(body, position=body.position + phases)
-    scene, physics = ws.Scene(gravity=0.0, floor=ws.Floor(restitution=restitution)), ws.Physics(precision="float64")
-    trials = ws.simulate(body, still(body), scene=scene, physics=physics, duration=1.0, record_every=1)
-    after = (trials.positions[-1, :, 1, 0] - trials.positions[-2, :, 1, 0]) / (speed * step)
-    assert after.mean() == pytest.approx(mean, abs=0.001)
-    assert after.max() == pytest.approx(largest, abs=0.001)
+@pytest.mark.parametrize(("omega_dt", "restitution"), REBOUNDS)
+def test_rebound_is_as_documented(omega_dt, restitution, mass):  # CF-4
+    after = rebounds_over_phases(restitution, omega_dt, mass)
+    np.testing.assert_allclose((after.min(), after.mean(), after.max()), REBOUNDS[omega_dt, restitution], atol=1e-3)
+
+
+def test_shipped_step_and_floor_are_those_of_the_documented_rebound():
+    assert ws.Physics().dt * np.sqrt(STIFFNESS) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("omega_dt", [0.1, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 100.0, 1e3])
+def test_no_touch_down_gains_energy(omega_dt):
+    assert rebounds_over_phases(1.0, omega_dt).max() <= 1 + 1e-9  # measured 9e-16 at omega h = 2, less elsewhere

@@ -34,14 +34,19 @@ REUSE = "Of the missing runs. A kept behaviour is not tried again while its robo
     "--out", metavar="DIR", type=click.Path(path_type=Path), help="Folder of the results.  [default: results/NAME]"
 )
 @click.option("--threads", type=click.IntRange(min=1), help="Threads at most.  [default: one for each processor]")
+@click.option(
+    "--seconds", type=click.FloatRange(0.01), default=5.0, show_default=True, help="How long to time the terms."
+)
 @json_option
 def command(
-    config: str, settings: tuple[str, ...], seeds: str | None, out: Path | None, threads: int | None, as_json: bool
-) -> None:
+    config: str, settings: tuple[str, ...], seeds: str | None, out: Path | None, threads: int | None,
+    seconds: float, as_json: bool,
+) -> None:  # fmt: skip
     """Say what a sweep leaves out, and the time, memory and disk it needs.
 
-    A term that a scene does not need is not compiled in; each is timed on this machine, as loaded as it is now. A lane-
-    step is one step of one robot. Nothing is computed of the sweep itself, and nothing is written to its folder.
+    A term that a scene does not need is not compiled in. What each term costs, and the time of the whole, is measured
+    on this machine, as busy as it is now; a lane-step is one step of one robot. Nothing of the sweep is computed, and
+    nothing is written to its folder.
     """
     from wobblesim.config import columns, load_config
     from wobblesim.numerics.explain import explain
@@ -54,7 +59,7 @@ def command(
     if not as_json:
         click.echo("timing each term: some seconds, a minute more where kernels have to be compiled", err=True)
     stored = {name: columns(parameters) for name, parameters in laid_out.conditions.items()}
-    found = explain(laid_out, present, stored, threads or available_threads())
+    found = explain(laid_out, present, stored, threads or available_threads(), seconds)
     if as_json:
         echo_json({"results": str(folder), **_as_data(found)})
         return

@@ -25,8 +25,6 @@ from wobblesim.study.plan import Study, group_size, steps
 from wobblesim.study.rows import Log, run_tables
 from wobblesim.study.store import opened
 
-SECONDS = 5.0
-"""Time that the terms are measured in, s; compiling, and what else is measured, come on top."""
 PROBE = 0.15  # s: length of a timed call of a whole epoch
 SHORT = 20  # steps of the call that tells what a call costs besides its steps
 LOGGED = 200  # epochs of the trial run of the learner, at most
@@ -122,7 +120,7 @@ def explain(
     present: Mapping[str, int],
     stored: Mapping[str, Mapping[str, Any]],
     threads: int,
-    seconds: float = SECONDS,
+    seconds: float,
 ) -> Explanation:
     """Measure what a sweep's missing runs need.
 
@@ -383,11 +381,11 @@ def _instant(setup: Setup) -> Callable[..., Trials]:
     lanes, rng = full_block(setup), np.random.default_rng(0)
     behaviours = rng.random((lanes, 2 * setup.body.n_groups))
     options = {"scene": setup.scene, "physics": setup.physics, "gait": setup.gait, "duration": setup.physics.dt}
-    known = vars(simulate(setup.body, behaviours, threads=1, width=lanes, **options))
+    known: dict[str, Any] = vars(simulate(setup.body, behaviours, threads=1, width=lanes, **options))
 
     def instant(body: Any, behaviours: np.ndarray, **_: Any) -> Trials:
         n = len(behaviours)
-        alike = {name: None if value is None else np.repeat(value[:1], n) for name, value in known.items()}
+        alike: dict[str, Any] = {name: value if value is None else value[[0] * n] for name, value in known.items()}
         return replace(Trials(**alike), displacement=rng.normal(size=n))
 
     return instant

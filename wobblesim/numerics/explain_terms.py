@@ -26,6 +26,7 @@ NEARLY_ELASTIC = 1 - 1e-12
 """Restitution of the weakest dashpot of a compliant floor."""
 
 RECORDED_EVERY = 10  # steps
+TINY = 1e-7  # s
 TIMED = 0.01  # s: length of a timed call; the least of many short ones says more than that of few long ones
 MOST_STEPS = 500  # of a timed call: without damping a robot lasts no longer
 LEAST_ROUNDS = 5
@@ -92,14 +93,10 @@ def full_block(setup: Setup) -> int:
 
 def specialisation(setup: Setup) -> tuple[bool, ...]:
     """Which of the arguments of the compiled step are None: setups that differ here have different kernels."""
-    system, method = system_and_method(setup)
-    arguments = (
-        *method.constants,
-        method.floor,
-        method.friction,
-        system.muscle_row if len(system.muscle_row) else None,
-    )
-    return tuple(argument is None for argument in arguments)
+    # the kernels are the same for all steps, and this one is refused by no integrator
+    system, method = system_and_method(replace(setup, physics=replace(setup.physics, dt=TINY)))
+    left_out = [constant is None for constant in (*method.constants, method.floor, method.friction)]
+    return (*left_out, len(system.muscle_row) == 0)
 
 
 # --- a setup without a term, and with a faint one ----------------------------------------------------------------
@@ -163,14 +160,20 @@ SIZED: dict[str, Callable[[Setup, float], Setup]] = {
 # --- what the scene says ---------------------------------------------------------------------------------------
 
 
-def _states(setup: Setup) -> dict[str, str]:
-    own = specialisation(setup)
-    states = {}
-    for name, sized in SIZED.items():
-        without = specialisation(sized(setup, 0.0))
-        has_code = specialisation(sized(setup, FAINT)) != without
-        states[name] = LEFT_OUT if own == without and not _asked_for(name, setup) else IN if has_code else NO_CODE
-    return states
+def states(setup: Setup) -> dict[str, str]:
+    """Of each term but recording whether it is compiled in."""
+    return {name: _state(name, setup) for name in SIZED}
+
+
+def _state(name: str, setup: Setup) -> str:
+    if _has_code(name, setup):
+        return LEFT_OUT if specialisation(setup) == specialisation(SIZED[name](setup, 0.0)) else IN
+    return NO_CODE if _asked_for(name, setup) else LEFT_OUT
+
+
+def _has_code(name: str, setup: Setup) -> bool:
+    """Whether a term is code of its own in this scene: some is a part of other constants, or of the floor."""
+    return specialisation(SIZED[name](setup, FAINT)) != specialisation(SIZED[name](setup, 0.0))
 
 
 def _asked_for(name: str, setup: Setup) -> bool:
@@ -253,41 +256,45 @@ def measure(setup: Setup, seconds: float) -> Costs:
     ValueError
         If the integrator refuses the step.
     """
-    states, why, clock = _states(setup), _why(setup), _clock(setup)
+    clock = _clock(setup)
+    best, noise = _interleaved(_calls(setup, clock), seconds)
+    scene, state, why = best["scene"], states(setup) | {"recording": LEFT_OUT}, _why(setup)
+    costs = {name: best.get((name, FAINT), np.nan) - best.get((name, 0.0), np.nan) for name in SIZED}
+    costs["recording"] = best.get("recording", np.nan) - scene
+    terms = tuple(
+        Term(name, state[name], why[name], _known(clock.microseconds(cost)), _known(100 * cost / scene))
+        for name, cost in costs.items()
+    )
+    return Costs(clock.microseconds(scene), clock.microseconds(noise), clock.lanes, terms)
+
+
+def _calls(setup: Setup, clock: _Clock) -> dict[Hashable, Callable[[], Trials]]:
+    """What is timed: the scene, the scene recorded, and of each term that is code of its own a faint one and none."""
     calls: dict[Hashable, Callable[[], Trials]] = {
         "scene": partial(clock.call, setup),
         "recording": partial(clock.call, setup, RECORDED_EVERY),
     }
     for name, sized in SIZED.items():
-        if _has_two_kernels(setup, name):
+        if _has_code(name, setup):
             calls |= {(name, size): partial(clock.call, sized(setup, size)) for size in (0.0, FAINT)}
-    best, noise = _interleaved(calls, seconds)
-    scene = clock.microseconds(best["scene"])
-    seen = {name: best.get((name, FAINT), np.nan) - best.get((name, 0.0), np.nan) for name in SIZED}
-    seen["recording"] = best.get("recording", np.nan) - best["scene"]
-    cost = {name: clock.microseconds(value) for name, value in seen.items()}
-    terms = tuple(
-        Term(name, states.get(name, LEFT_OUT), why[name], *(_known(cost[name]), _known(100 * cost[name] / scene)))
-        for name in (*SIZED, "recording")
-    )
-    return Costs(scene, clock.microseconds(noise), clock.lanes, terms)
+    return calls
 
 
 def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _has_two_kernels(setup: Setup, name: str) -> bool:
-    """Whether a term has code of its own, and can be timed in this scene."""
+def _works(call: Callable[[], Trials]) -> bool:
+    """Whether the integrator takes the step, and no trial diverges: one that ends early has no time of its own."""
     try:
-        return specialisation(SIZED[name](setup, FAINT)) != specialisation(SIZED[name](setup, 0.0))
-    except ValueError:  # the integrator refuses the step without the term
+        return not (call().status == "diverged").any()
+    except ValueError:
         return False
 
 
 def _interleaved(calls: Mapping[Hashable, Callable[[], Trials]], seconds: float) -> tuple[dict[Hashable, float], float]:
     """Least time of each call, of sound ones only, and how far the least of even and of odd rounds lie apart."""
-    sound = {name: call for name, call in calls.items() if name == "scene" or not (call().status == "diverged").any()}
+    sound = {name: call for name, call in calls.items() if name == "scene" or _works(call)}
     times: dict[Hashable, list[float]] = {name: [] for name in sound}
     end, rounds = time.perf_counter() + seconds, 0
     while rounds < LEAST_ROUNDS or time.perf_counter() < end:
