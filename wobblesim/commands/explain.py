@@ -21,8 +21,8 @@ STATES = {"in": "compiled in", "left out": "left out", "no code": "no code of it
 COSTS = """\
 A cost is the time of a lane-step with the term, but too weak to move anything, minus that of the same scene
 without it; for the floor it is the scene as it is minus free flight, for recording every 10th step is kept.
-Full blocks, one thread. Two timings of one kernel differ by {noise:.3f} µs here; two kernels may differ by a few
-percent, either way, for how they happen to be compiled. –: has no code of its own here, or cannot move without.
+Full blocks, one thread. Two timings of one kernel differ by {noise:.3f} µs here; two kernels may differ by a percent
+or so, either way, for how they happen to be compiled. –: has no code of its own here, or cannot move without.
 """
 
 REUSE = "Of the missing runs. A kept behaviour is not tried again while its robot rests: the outcome is known."
