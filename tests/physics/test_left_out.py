@@ -99,7 +99,7 @@ def left_out(term, integrator):
         "recording": {"frames"},
     }
     if term == "floor":
-        of_floor = {"midpoint": {"c_n", "s_n", "s_t"}, "impulse": {"restitution"}, "explicit": {"c_n"}}
+        of_floor = {"midpoint": {"c_n", "d_n", "d_t"}, "impulse": {"restitution"}, "explicit": {"c_n"}}
         return {"floor", "friction"} | of_floor[integrator]
     return by_term[term] if term in by_term else set().union(*by_term.values()) - {"frames"}
 

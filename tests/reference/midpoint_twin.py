@@ -74,16 +74,20 @@ def add_floor(body, middle, v, anchor, floor, h, matrix, impulse) -> None:
             anchor[node] = middle[node, 0] + (begin - h / 2) * v[node, 0]  # where the node first presses
         impulse[node, 1] += time * normal
         matrix[2 * node + 1, 2 * node + 1] += time / 2 * (c_n + h / 2 * k)
-        if mu == 0:
+        # What the node's own change of velocity, if no other node moved, takes off the forces of this step.
+        own, inertia = impulse[node], np.diag(matrix)[2 * node : 2 * node + 2]
+        limit = mu * (normal - (c_n / 2 + h / 4 * k) * own[1] / inertia[1])
+        if limit <= 0:
+            anchor[node] = np.nan
             continue
         c_t = min(2 * TANGENTIAL_DAMPING_RATIO * np.sqrt(k * m), m / h)
-        tangent = k * (anchor[node] - x) - c_t * v[node, 0]
-        limit = mu * normal
-        if abs(tangent) <= limit:
+        tangent, taken = k * (anchor[node] - x) - c_t * v[node, 0], c_t / 2 + h / 4 * k
+        left = tangent - taken * (own[0] + time * tangent) / (inertia[0] + time * taken)
+        if abs(left) <= limit:
             impulse[node, 0] += time * tangent
-            matrix[2 * node, 2 * node] += time / 2 * (c_t + h / 2 * k)
+            matrix[2 * node, 2 * node] += time * taken
         else:
-            tangent = np.copysign(limit, tangent)
+            tangent = np.copysign(limit, left)
             impulse[node, 0] += time * tangent
             anchor[node] = x + (tangent + c_t * v[node, 0]) / k
 

@@ -98,13 +98,18 @@ def tangential_force(floor, i, x, vx, anchor, limit):
 
     `limit` is mu times the normal force; a node that is not pressed (limit 0) takes its anchor along.
     """
-    dashpot = floor.c_t[i] * vx
-    trial = floor.k[i] * (anchor - x) - dashpot
-    slips = abs(trial) > limit
-    force = select(slips, select(trial > 0.0, limit, -limit), trial)
-    dragged = select(slips, x + (force + dashpot) / floor.k[i], anchor)
-    pressed = limit > 0.0
-    return select(pressed, force, 0.0), slips, select(pressed, dragged, x)
+    trial = floor.k[i] * (anchor - x) - floor.c_t[i] * vx
+    force, slips, anchor = coulomb(floor, i, x, vx, anchor, limit, trial, trial)
+    return force, slips, select(limit > 0.0, anchor, x)
+
+
+@inlined
+def coulomb(floor, i, x, vx, anchor, limit, trial, met):
+    """`trial` where `met` does not exceed the limit, else the limit and the anchor dragged along; 0 at limit 0."""
+    slips = abs(met) > limit
+    force = select(slips, select(met > 0.0, limit, -limit), trial)
+    dragged = select(slips, x + (force + floor.c_t[i] * vx) / floor.k[i], anchor)
+    return select(limit > 0.0, force, 0.0), slips, dragged
 
 
 # --- the same forces, swept over a step -----------------------------------------------------------------------
@@ -131,15 +136,21 @@ def swept_normal_force(floor, c_n, i, y, vy, half_h):
 
 
 @inlined
-def swept_friction(floor, i, x, vx, vy, part, half_h, anchor, limit):
-    """Mean friction on node i while it is pressed, the part of the step that it sticks, and its anchor.
+def swept_friction(floor, d_t, i, x, vx, vy, part, half_h, anchor, limit, impulse, inertia):
+    """Mean friction on node i while it is pressed, for how long it sticks, and its anchor.
 
     `anchor` and what becomes of it are IN_THE_AIR for a node that is not pressed; a node that lands sets its anchor
-    where the pressed part of the step begins, which is its end if the node comes down.
+    where the pressed part of the step begins, which is its end if the node comes down. Whether it slips is decided by
+    the force as the step leaves it, not as it begins: held by a spring that is stiff for the step, a node at rest would
+    else slip back and forth for ever. The step takes ``d_t dv`` off the force, and dv is the sum of `impulse`, all but
+    the friction's, and the friction's, over `inertia` and what friction adds to it.
     """
     off_centre = half_h * (1.0 - part) * vx
     middle = x + select(vy < 0.0, off_centre, -off_centre)
     anchor = select(anchor < IN_THE_AIR, anchor, middle - half_h * part * vx)
-    force, slips, anchor = tangential_force(floor, i, middle, vx, anchor, limit)
-    pressed = limit > 0.0
-    return force, select(pressed & ~slips, part, 0.0), select(pressed, anchor, IN_THE_AIR)
+    time = (half_h + half_h) * part
+    trial = floor.k[i] * (anchor - middle) - floor.c_t[i] * vx
+    met = (inertia * trial - d_t[i] * impulse) / (inertia + time * d_t[i])
+    force, slips, anchor = coulomb(floor, i, middle, vx, anchor, limit, trial, met)
+    pressed = (part > 0.0) & (limit > 0.0)
+    return force, select(pressed & ~slips, time, 0.0), select(pressed, anchor, IN_THE_AIR)

@@ -7,7 +7,7 @@ Forces are taken at the midpoint that the velocity predicts, x_m = x + h/2 v; th
 accounts for what dv changes in them, along the springs only: the geometric stiffness, kept, damps rotation badly.
 With weight 1/2 on the dashpots the method is of order 2 with damping too; theta > 1/2 on the springs moves the
 stiffest modes away from ringing at -1 and costs no order, for its term is h² smaller. Impulses act along u between
-points at x_m, so linear and angular momentum are kept to rounding (which float32 feels once h² k/m nears 1e5).
+points at x_m, so linear and angular momentum are kept to rounding (which float32 feels once h² k/m nears 1e7).
 
 The floor's force is the mean over the part of the step that a node is pressed (`contact.swept_normal_force`), and
 stands on the diagonal with weight 1/2: order 2 also through impacts.
@@ -55,8 +55,8 @@ class Midpoint(NamedTuple):
     mass: Array  # (n_nodes,)
     weight: Array | None  # (n_nodes, 2): h m g
     c_n: Array | None  # (n_nodes,): the floor's normal dashpots
-    s_n: Array | None  # (n_nodes,): h c_n/2 + h²/4 k of the floor
-    s_t: Array | None  # (n_nodes,): h c_t/2 + h²/4 k
+    d_n: Array | None  # (n_nodes,): c_n/2 + h/4 k of the floor: what dv takes off its force
+    d_t: Array | None  # (n_nodes,): c_t/2 + h/4 k
     first: Array  # (n_nodes + 1,) int: blocks of a node
     row: Array  # (n_blocks,) int: the later node of a block
     column: Array  # (n_blocks,) int: the earlier node of a block
@@ -99,7 +99,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     k = system.k[springs]
     c = np.zeros(len(k)) if system.c is None else system.c[springs]
     s = 0.5 * h * (c + physics.theta * h * k)
-    floor, c_n, s_n, s_t = _floor(system, mass, h)
+    floor, c_n, d_n, d_t = _floor(system, mass, h)
 
     def cast(numbers: Any) -> Any:
         return None if numbers is None else np.asarray(numbers, dtype)
@@ -107,7 +107,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     constants = Midpoint(
         h=dtype.type(h), half_h=dtype.type(0.5 * h), minus_free=cast(np.where(system.inverse_mass[order] > 0, -1, 0)),
         mass=cast(mass), weight=cast(system.gravity and h * np.outer(mass, system.gravity)),
-        c_n=cast(c_n), s_n=cast(s_n), s_t=cast(s_t),
+        c_n=cast(c_n), d_n=cast(d_n), d_t=cast(d_t),
         first=plan_array(plan.first), row=plan_array(plan.row), column=plan_array(plan.column),
         left_first=plan_array(plan.left_first), left=plan_array(plan.left),
         pair_first=plan_array(plan.pair_first), pairs=plan_array(plan.pairs),
@@ -132,12 +132,12 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
 
 
 def _floor(system: System, mass: Array, h: float) -> tuple[Any, Any, Any, Any]:
-    """The contact law's constants and what the floor adds to the diagonal, normal and tangential."""
+    """The contact law's constants and what a change of velocity takes off its forces, normal and tangential."""
     if system.floor is None:
         return None, None, None, None
     floor, c_n = compliant_floor(system.floor, mass, h, system.leave_out)
-    s = 0.25 * h * h * floor.k
-    return floor, c_n, s + 0.5 * h * (0.0 if c_n is None else c_n), s + 0.5 * h * floor.c_t
+    d = 0.25 * h * floor.k
+    return floor, c_n, d + 0.5 * (0.0 if c_n is None else c_n), d + 0.5 * floor.c_t
 
 
 def _springs_by_block(system: System, plan: Elimination) -> tuple[Array, Array]:
@@ -222,16 +222,8 @@ def _eliminate(tag, constants, weight, floor, c_n, friction, state, work):
             touches = any_lane(y - constants.half_h * abs(vy) < 0.0)
             if touches:
                 f_n, part = swept_normal_force(floor, c_n, p, y, vy, constants.half_h)
-                ry, yy = fma(constants.h * part, f_n, ry), fma(part, constants.s_n[p], yy)
-                if friction is not None:
-                    x, vx = load(tag, state.x, p), load(tag, state.vx, p)
-                    anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
-                    f_t, sticks, anchor = swept_friction(
-                        floor, p, x, vx, vy, part, constants.half_h, anchor, friction[p] * f_n
-                    )
-                    rx, xx = fma(constants.h * part, f_t, rx), fma(sticks, constants.s_t[p], xx)
-                    store(tag, work.anchor, p, anchor)
-            work.touched[p] = touches
+                pressed = constants.h * part  # s
+                ry, yy = fma(pressed, f_n, ry), fma(pressed, constants.d_n[p], yy)
         # springs
         for i in range(constants.from_first[p], constants.from_first[p + 1]):
             wx, wy, g = (
@@ -250,6 +242,18 @@ def _eliminate(tag, constants, weight, floor, c_n, friction, state, work):
             )
             xx, xy, yy = fma(wx, wx, xx), fma(wx, wy, xy), fma(wy, wy, yy)
             rx, ry = fma(-g, wx, rx), fma(-g, wy, ry)
+        # friction: its limit is that of the normal force as dv leaves it, if no other node moved
+        if friction is not None:
+            if touches:
+                x, vx = load(tag, state.x, p), load(tag, state.vx, p)
+                anchor = load(tag, work.anchor, p) if work.touched[p] else splat(tag, IN_THE_AIR)
+                limit = friction[p] * (f_n - constants.d_n[p] * (ry / yy))
+                f_t, sticks, anchor = swept_friction(
+                    floor, constants.d_t, p, x, vx, vy, part, constants.half_h, anchor, limit, rx, xx
+                )
+                rx, xx = fma(pressed, f_t, rx), fma(sticks, constants.d_t[p], xx)
+                store(tag, work.anchor, p, anchor)
+            work.touched[p] = touches
         # what earlier nodes left: a and c are rows x and y of -L
         for j in range(constants.left_first[p], constants.left_first[p + 1]):
             e = constants.left[j]
