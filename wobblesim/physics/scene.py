@@ -87,8 +87,8 @@ class Physics:
     iterations : int
         Of `impulse`.
     theta : float
-        Of `midpoint`: weight of the new position in the springs' forces, 0.5 to 1. At 0.5 the stiffest springs ring: see
-        the counts in docs/stability.md. A larger theta costs accuracy in free flight (docs/design-changes.md).
+        Of `midpoint`: weight of the new position in the springs' forces, 0.5 to 1. At 0.5 the stiffest springs ring
+        (counts in docs/stability.md). A larger theta costs accuracy in free flight (docs/design-changes.md).
     max_speed : float or None
         Bound on the speed of every node, u/s; this and the two below are the trusted bounds, beyond which a motion is
         taken for a failure of the integrator. None is no bound. The default is 6 times the fastest node seen in 8192
