@@ -118,7 +118,7 @@ def _conditions(physics: Physics) -> dict[str, Any]:
 
 SPEEDS = (1e2, 1e3, 1e4, 1e5)
 PHASES = 16  # of the step in which a node touches down
-DEEP = 1.0  # u; a node that ends deeper has gone through the floor
+DEEP = 5.0  # u; a node that ends deeper has gone through the floor: one pressed in passing is less than half as deep
 
 
 def documented_depth(speed: float, floor: Floor, dt: float, gravity: float = 100.0) -> float:
