@@ -219,7 +219,7 @@ def test_what_blows_up_is_found_and_does_not_once_the_step_is_small_enough(ringi
 
 
 def test_without_bounds_a_blow_up_may_end_in_a_finite_score_that_is_the_best_of_all(ringing):
-    # The prototype's lesson: a score is whatever place is finite when the trial ends. One gets 127,000 body lengths far.
+    # The prototype's lesson: a score is whatever place is finite when the trial ends; here up to 127,000 body lengths.
     unbound, body = ring(refinements=0, record_every=1, **UNBOUND), ws.starfish()
     place = unbound.positions[:, body.center, 0].mean(axis=1, dtype=np.float64) / body.body_length
     far = (np.isfinite(place) & (np.abs(place) > 10)).any(axis=0)  # in 20 s; refined, none gets beyond 3.2
