@@ -20,6 +20,9 @@ The factorisation looks left: each node collects what earlier ones have left, in
 update at a time (looking right) has half as many instructions again, most of them loads and stores.
 """
 
+# pyright: reportPossiblyUnboundVariable=false
+# (a scene with friction has a floor: what the one branch sets, the other may use)
+
 from __future__ import annotations
 
 from typing import Any, NamedTuple
