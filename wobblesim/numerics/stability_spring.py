@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,7 @@ GROWS = 1.0 + 1e-7
 """A spectral radius above this grows: doubling takes seven million steps at most."""
 
 STEP = 0.01  # s; only omega h matters
+THROW = 1e6  # u a step: what is left of it by rounding must not come near the distance at which springs lose direction
 STRAIN = 0.1  # of the taut springs
 SWING = 1e-9  # of their length, so small that a thousandfold swing is still linear
 
@@ -120,19 +122,20 @@ def _limit(grows: Callable[[float], bool]) -> float:
 def run(physics: Physics, s: float, zeta: float, steps: int) -> NDArray[np.float64]:
     """Stretch ``(steps + 1,)`` of a spring with omega h = s, as the program moves it.
 
-    A spring of rest length 0 from a fixed node, thrown at speed 1/h from where the two coincide: along one line
+    A spring of rest length 0 from a fixed node, thrown by `THROW` a step from where the two coincide: along one line
     such a spring is linear however far it swings. `explicit` linearises about the built shape, where this spring has no
     direction, and so does not refuse the step: what is measured is its kernel and not its guard.
     """
     h = physics.dt
     body = Body.from_arrays(
         [(0, 0), (0, 0)], [(0, 1)], stiffness=(s / h) ** 2, damping_ratio=zeta, rest_length=0.0,
-        velocity=[(0, 0), (1 / h, 0)], fixed=[True, False],
+        velocity=[(0, 0), (THROW / h, 0)], fixed=[True, False],
     )  # fmt: skip
     scene = Scene(gravity=0.0, floor=None)
-    trials = simulate(body, np.zeros((1, 0)), scene=scene, physics=physics, duration=steps * h, record_every=1)
+    unbound = replace(physics, max_speed=None, max_strain=None, max_energy=None)
+    trials = simulate(body, np.zeros((1, 0)), scene=scene, physics=unbound, duration=steps * h, record_every=1)
     assert trials.positions is not None
-    return trials.positions[:, 1, 0, 0].astype(np.float64)
+    return trials.positions[:, 1, 0, 0].astype(np.float64) / THROW
 
 
 def measured_radius(physics: Physics, s: float, zeta: float) -> float:
