@@ -75,7 +75,7 @@ def test_a_robot_in_other_units_has_the_same_bounds(length, time, mass):
         rest_length=body.rest_length * length,
         muscles=list(zip(body.muscle_spring, body.muscle_group, body.muscle_sign, strict=True)),
     )  # fmt: skip
-    floor, its_floor = ws.Floor(), ws.Floor(stiffness=20_000.0 / time**2)
+    floor, its_floor = ws.Floor(), ws.Floor(stiffness=ws.Floor().stiffness / time**2)
     scale = energy_scale(system_of(body, ws.Scene(100.0, floor), 1.0), body.body_length, 0.1)
     there = system_of(other, ws.Scene(100.0 * length / time**2, its_floor), 1.0)
     assert energy_scale(there, other.body_length, 0.1) == pytest.approx(

@@ -61,10 +61,15 @@ def command(
     report = make_report(
         scenes, integrators, short=short, threads=threads, tell=lambda line: click.echo(line, err=True)
     )
-    if out:
-        _write_out(report, out)
-    if page:
-        _write_page(report, page)
+    try:
+        if out:
+            _write_out(report, out)
+        if page:
+            _write_page(report, page)
+    except OSError as error:
+        raise click.ClickException(
+            f"cannot write {error.filename}: {(error.strerror or str(error)).lower()}"
+        ) from error
     if as_json:
         echo_json(report.as_data())
     else:

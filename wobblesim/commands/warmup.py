@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,6 +40,8 @@ def command(integrators: tuple[str, ...], precisions: tuple[str, ...], everythin
     for name in integrators:
         if name not in INTEGRATORS:
             raise click.BadParameter(f"{name!r} is not one of {', '.join(INTEGRATORS)}", param_hint="--integrator")
+    if "NUMBA_DISABLE_JIT" in os.environ and os.environ["NUMBA_DISABLE_JIT"] != "0":
+        raise click.ClickException("NUMBA_DISABLE_JIT is set: nothing is compiled")
     if FOLDER is None:
         raise click.ClickException("kernels cannot be kept, so warming up is of no use: see the warning above")
     default = Physics()

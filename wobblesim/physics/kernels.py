@@ -80,17 +80,17 @@ def cache_folder() -> Path:
 
 def is_warm() -> bool:
     """Whether some kernels have been compiled on this machine before."""
-    return any(cache_folder().glob("*/*.nbc"))
+    return FOLDER is not None and any(FOLDER.glob("*/*.nbc"))
 
 
 def _usable_folder() -> Path | None:
     """The folder, made if need be; None, with a warning, where it cannot be made or others could change it."""
-    folder = cache_folder()
     try:
+        folder = cache_folder()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         found = folder.stat()
-    except OSError as error:
-        _warn(f"kernels are not cached: {folder}: {error.strerror}")
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
+        _warn(f"kernels are not cached: {error}")
         return None
     if found.st_uid != _user() or (os.name == "posix" and found.st_mode & WRITABLE_BY_OTHERS):
         _warn(f"kernels are not cached: others may write to {folder}; remove it")

@@ -55,7 +55,7 @@ class Midpoint(NamedTuple):
     h: Any
     half_h: Any
     minus_free: Array  # (n_nodes,): -1, or 0 for a fixed node
-    mass: Array  # (n_nodes,)
+    mass: Array  # (n_nodes,); of a fixed node any that is large beside its springs
     weight: Array | None  # (n_nodes, 2): h m g
     c_n: Array | None  # (n_nodes,): the floor's normal dashpots
     d_n: Array | None  # (n_nodes,): c_n/2 + h/4 k of the floor: what dv takes off its force
@@ -102,6 +102,8 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     k = system.k[springs]
     c = np.zeros(len(k)) if system.c is None else system.c[springs]
     s = 0.5 * h * (c + physics.theta * h * k)
+    # A fixed node moves nothing whatever its mass; this one keeps its pivots away from 0.
+    inertia = mass + np.where(system.inverse_mass[order] > 0, 0.0, np.bincount(a, s, n) + np.bincount(b, s, n))
     floor, c_n, d_n, d_t = _floor(system, mass, h)
 
     def cast(numbers: Any) -> Any:
@@ -109,7 +111,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
 
     constants = Midpoint(
         h=dtype.type(h), half_h=dtype.type(0.5 * h), minus_free=cast(np.where(system.inverse_mass[order] > 0, -1, 0)),
-        mass=cast(mass), weight=cast(system.gravity and h * np.outer(mass, system.gravity)),
+        mass=cast(inertia), weight=cast(system.gravity and h * np.outer(mass, system.gravity)),
         c_n=cast(c_n), d_n=cast(d_n), d_t=cast(d_t),
         first=plan_array(plan.first), row=plan_array(plan.row), column=plan_array(plan.column),
         left_first=plan_array(plan.left_first), left=plan_array(plan.left),

@@ -174,8 +174,9 @@ class _Prepared:
     node_row: NDArray[np.int64]  # row of each node
 
 
-# A wobble of 25 epochs comes back to the same robots. What is kept holds its body, so that no other gets its id.
-@functools.lru_cache(maxsize=64)
+# A wobble of 25 epochs comes back to the same robots, at up to four steps. What is kept holds its body, so that no
+# other gets its id.
+@functools.lru_cache(maxsize=256)
 def _prepared(robot: _Robot, physics: Physics) -> _Prepared:
     body = robot.body.adapted(robot.morphology)
     system = system_of(body, robot.scene, robot.morphology.gravity, robot.leave_out)
@@ -233,6 +234,8 @@ def _checked_behaviours(body: Body, behaviours: ArrayLike) -> NDArray[np.float64
             f"behaviours have shape {behaviours.shape}: they must have (n_trials, {2 * body.n_groups}), "
             f"an amplitude and an offset for each of the {body.n_groups} motor groups"
         )
+    if not np.isfinite(behaviours).all():
+        raise ValueError("a behaviour holds an infinity or something that is not a number")
     if len(behaviours) == 0:
         raise ValueError("there are no behaviours to try: give at least one")
     return behaviours

@@ -200,7 +200,10 @@ def read_tables(folder: Path, paths: Sequence[str], columns: Sequence[str] | Non
                 f"{folder / path} is missing or damaged ({_first_line(error)}); "
                 "remove it and give the sweep command again to compute it anew"
             ) from error
-    return pa.concat_tables(parts)
+    whole = pa.concat_tables(parts)
+    if lacking := [name for name in columns or () if name not in whole.column_names]:
+        raise StoreError(f"{folder} is of an older version: its tables have no {', '.join(lacking)}")
+    return whole
 
 
 def _first_line(error: Exception) -> str:
