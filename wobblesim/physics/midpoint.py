@@ -16,8 +16,7 @@ Written for x_m, the step x += h (v + dv/2), v += dv becomes v += dv, x_m += h v
 ahead, and x need not be kept at all.
 
 The system is solved by LDLᵀ in the elimination order of `ordering.eliminate`; nodes are numbered in that order here.
-The factorisation looks left: each node collects what earlier ones have left, in registers, and is stored once. An
-update at a time (looking right) has half as many instructions again, most of them loads and stores.
+The factorisation looks left: each node collects what earlier ones have left, in registers, and is stored once.
 """
 
 # pyright: reportPossiblyUnboundVariable=false
