@@ -7,16 +7,19 @@ PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input -
 PINS := pyproject.toml constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help quickstart test lint types docs bench clean
+.PHONY: help quickstart test test-nightly lint types docs bench clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-18s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | awk -F'|' '{ printf "%-20s %s\n", $$1, $$2 }'
 
 quickstart: $(VENV)/.runtime  ## install, run a small sweep, say where results and picture are
 	$(BIN)/wobblesim sweep configs/quickstart.yaml
 
 test: $(VENV)/.test  ## run the tests (pass options with ARGS="-m nightly")
 	$(BIN)/python -m pytest $(ARGS)
+
+test-nightly: $(VENV)/.test $(VENV)/.slurm  ## the long tests: faults, fuzz, worker kills, all scenes
+	$(BIN)/python -m pytest -m nightly $(ARGS)
 
 lint: $(VENV)/.lint  ## format check, ruff, layers
 	$(BIN)/ruff format --quiet --check . || { echo "Run '$(BIN)/ruff format .' to format."; exit 1; }
@@ -46,7 +49,7 @@ $(VENV)/.runtime: $(BIN)/python $(PINS)
 	@$(PIP) -e .
 	@touch $@
 
-$(VENV)/.test $(VENV)/.lint $(VENV)/.docs: $(VENV)/.%: $(BIN)/python $(PINS)
+$(VENV)/.test $(VENV)/.lint $(VENV)/.docs $(VENV)/.slurm: $(VENV)/.%: $(BIN)/python $(PINS)
 	@echo "Installing into $(VENV) (once) ..."
 	@$(PIP) -e '.[$*]'
 	@touch $@

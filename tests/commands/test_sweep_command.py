@@ -11,12 +11,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
+from wobblesim.analysis.tables import load
 from wobblesim.commands import main
 from wobblesim.commands.display import Plain, duration
-from wobblesim.study.store import read_manifest
+from wobblesim.study.manifest import read_manifest
 
 ROOT = Path(__file__).parents[2]
 
@@ -153,7 +155,7 @@ def test_a_bad_configuration_is_one_line_with_its_place(config):
 def test_an_impossible_step_is_refused_before_the_folder_is_made():
     found = call("sweep", "three.yaml", "--set", "physics.integrator=explicit", "--set", "physics.dt=0.5")
     assert found.exit_code == 2
-    assert found.stderr.startswith("condition fixed: ")
+    assert found.stderr.startswith("--set physics.dt=0.5: physics.dt: explicit is unstable at dt 0.5 s")
     assert found.stderr.count("\n") == 1
     assert not Path("results").exists()
 
@@ -170,8 +172,58 @@ def test_changed_settings_in_the_same_folder_are_refused_with_their_keys():
     for dry in ([], ["--dry-run"]):
         found = call("sweep", "three.yaml", "--set", "physics.dt=0.005", *dry)
         assert found.exit_code == 2
-        assert "fixed: physics.dt is 0.02 there and 0.005 here" in found.stderr
-        assert found.stderr.count("\n") == 1
+        assert found.stderr.splitlines() == [
+            "results/three holds results of other settings or of another simulator:",
+            "  setting     there  here",
+            "  physics.dt  0.02   0.005  in all 2 conditions",
+            "Undo the change, or give --fork DIR to start a folder beside it that takes over what is unchanged.",
+        ]
+
+
+def test_a_fork_takes_over_what_is_unchanged_and_computes_the_rest():
+    call("sweep", "three.yaml")
+    fork = ("sweep", "three.yaml", "--set", "conditions.mass.learning.rate=0.2", "--fork", "results/second", "--json")
+    found = call(*fork)
+    told = json.loads(found.stdout)
+    assert (found.exit_code, told["results"], told["present"], told["done"]) == (0, "results/second", 2, 2)
+    assert "2 of 4 runs taken over from results/three" in found.stderr
+    first, second = (read_manifest(Path("results", name)) for name in ("three", "second"))
+    assert first.runs["fixed", 0].files == second.runs["fixed", 0].files
+    assert first.runs["mass", 0].files != second.runs["mass", 0].files
+    assert json.loads(call(*fork).stdout)["present"] == 4
+
+
+def test_shards_share_a_folder_and_together_make_the_study():
+    for k in (1, 2, 3):
+        found = call("sweep", "three.yaml", "--out", "parts", "--shard", f"{k}/3")
+        assert found.exit_code == 0
+        assert re.search(rf"shard {k}/3: (\d) of \1 runs? done", found.stdout)
+    call("sweep", "three.yaml")
+    assert json.loads(call("sweep", "three.yaml", "--out", "parts", "--json").stdout)["done"] == 0
+    parts, whole = (load(folder).epochs() for folder in ("parts", "results/three"))
+    pd.testing.assert_frame_equal(parts, whole)
+
+
+@pytest.mark.parametrize("shard", ["0/3", "4/3", "2", "a/b", "1/0"])
+def test_a_shard_that_cannot_be_is_refused(shard):
+    found = call("sweep", "three.yaml", "--shard", shard)
+    assert (found.exit_code, "Invalid value for --shard" in found.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--workers", "2"], "--workers needs --engine dask"),
+        (["--engine", "dask", "--tls-ca", "three.yaml"], "belong together"),
+        (["--engine", "dask", "--insecure-tcp"], "are for a --scheduler"),
+        (["--engine", "dask", "--scheduler", "somewhere"], "is not the address of a scheduler"),
+        (["--engine", "dask", "--scheduler", "tcp://10.0.0.1:8786"], "is not encrypted"),
+        (["--engine", "dask", "--scheduler", "tls://127.0.0.1:8786"], "tls:// needs certificates"),
+    ],
+)
+def test_engine_options_that_mean_nothing_together_are_refused(options, said):
+    found = call("sweep", "three.yaml", *options)
+    assert (found.exit_code, said in found.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("command", ["status", "plot"])
@@ -222,7 +274,7 @@ def test_a_signal_ends_a_sweep_in_order_and_the_told_command_goes_on(number):
     told = said.splitlines()[-1].removeprefix("stopped; to go on: ")
     assert shlex.split(told) == ["python", "cli.py", *LONG]
     status = json.loads(call("status", "results/three", "--json").stdout)
-    assert status["writer"] is None
+    assert status["writers"] == []
     assert re.fullmatch(r"fixed, seeds 0..1: epoch \d+", status["conditions"][0]["in_progress"])
 
 
@@ -243,7 +295,7 @@ def test_status_names_the_process_that_is_writing():
         wait_until_it_computes(process)
         told = json.loads(call("status", "results/three", "--json").stdout)
         second = call("sweep", "three.yaml")
-    assert f"process {process.pid} on " in told["writer"]
+    assert f"process {process.pid} on " in told["writers"][0]
     assert (second.exit_code, f"in use by process {process.pid} on " in second.stderr) == (2, True)
 
 

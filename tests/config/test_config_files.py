@@ -8,10 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wobblesim.config import SweepConfig, dump, expand, json_schema, load_config, parse_config, remarks
+from wobblesim.config import ConfigError, SweepConfig, dump, expand, json_schema, load_config, parse_config, remarks
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 FILES = sorted(CONFIGS.rglob("*.yaml"))
@@ -131,7 +132,7 @@ def test_dump_reads_back_to_an_equal_configuration(
         "scene": {"gravity": gravity},
         "wobble": {"dimension": ["mass", "size"], "amplitude": 0.1, "period": 25},
         "sweep": {"wobble.period": periods} if periods else {},
-        "conditions": {f"{name}": {"log": "trials"}},
+        "conditions": {f"c.{name}": {"log": "trials"}},
     }
     config = SweepConfig.model_validate(data)
     assert parse_config(dump(config)) == config
@@ -149,3 +150,31 @@ def test_the_configuration_needs_no_simulator() -> None:
         [sys.executable, "-c", code], cwd=CONFIGS.parent, capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
+
+
+def test_the_schema_takes_the_studies_and_refuses_what_check_refuses() -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    checker = jsonschema.Draft202012Validator(json_schema())
+    checker.check_schema(json_schema())
+    for path in FILES:
+        checker.validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    wobbling = {"name": "a1", "wobble": {"dimension": "mass", "amplitude": 0.1, "period": 25}}
+    checker.validate(
+        wobbling | {"conditions": {"slow": {"wobble": {"period": 90}}, "still": {"wobble": None}, "as": None}}
+    )
+    checker.validate(wobbling | {"sweep": {"wobble.period": [25, 50], "scene.floor": [None]}})
+    for wrong in (
+        {"name": "../a"},
+        {"seeds": "0.99"},
+        {"physics": {"dtt": 1}},
+        {"wobble": {"dimension": "mass", "amplitude": 0.1}},
+        {"conditions": {"slow": {"wobble": {"perod": 90}}}},
+        {"conditions": {"slow": {"seeds": 3}}},
+        {"conditions": {"a/b": {}}},
+        {"sweep": {"wobble.period": [1]}},
+        {"sweep": {"physics.integrator": ["midpont"]}},
+        {"sweep": {"physics.dt": []}},
+    ):
+        assert not checker.is_valid(wobbling | wrong), wrong
+        with pytest.raises(ConfigError):
+            parse_config(json.dumps(wobbling | wrong))

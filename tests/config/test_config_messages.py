@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 import yaml
 
-from wobblesim.config import ConfigError, SweepConfig, parse_config
-from wobblesim.config.lookup import leaf_paths
+from wobblesim.config import ConfigError, SweepConfig, expand, parse_config
+from wobblesim.config.errors import dotted
+from wobblesim.config.fields import shown
+from wobblesim.config.lookup import field_at, leaf_paths
 
 STARFISH = {
     "name": "study",
@@ -186,41 +188,108 @@ def test_bi_3_a_bad_number_is_refused_with_the_range(data: dict[str, Any], path:
     assert re.search(r"\d|y a list", error.message)
 
 
+def least_of(path: tuple[Any, ...]) -> tuple[float, bool]:
+    """The lower bound of a number, and whether it is excluded."""
+    field = field_at(path)
+    assert field is not None
+    bounds = {name: getattr(mark, name) for mark in field.metadata for name in ("gt", "ge") if hasattr(mark, name)}
+    ((name, bound),) = bounds.items()
+    return bound, name == "gt"
+
+
+WITHOUT_A_RANGE = {"gravity", "seeds"}
+RANGED = [number for number in NUMBERS if number.values[1][-1] not in WITHOUT_A_RANGE]
+
+
+@pytest.mark.parametrize("value", [0, -1, -1e-9, -5000])
+@pytest.mark.parametrize(("data", "path"), RANGED)
+def test_bi_3_zero_and_negative_numbers_are_refused_where_the_range_ends_above(
+    data: dict[str, Any], path: tuple[Any, ...], value: float
+) -> None:
+    least, excluded = least_of(path)
+    text = "robot.muscles[0].sign" if path[-1] == "sign" else ".".join(map(str, path))
+    kept = {name: part for name, part in data.items() if name not in ("sweep", "conditions")}
+    refused = refusal_of(written(kept), f"{text}={value}")
+    is_whole = type(parent_of(data, path)[path[-1]]) is int and value == -1e-9
+    if value < least or (excluded and value == least) or is_whole:
+        assert refused.startswith(f"--set {text}={value}: {dotted(path)}: {shown(value)} is ")
+        assert "allowed: " in refused
+    else:
+        assert "allowed: " not in refused  # but perhaps refused by a rule between keys
+
+
+def refusal_of(text: str, setting: str) -> str:
+    """The error of a text with a setting, empty if it has none."""
+    try:
+        parse_config(text, [setting])
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+BAD_ITEMS = [
+    ("robot.nodes[0].position", "[.nan, 0]"),
+    ("robot.nodes[0].position", "[0, 1.0e+999]"),
+    ("robot.nodes[0].position", "[0, left]"),
+    ("robot.nodes[0].velocity", "[.inf, 0]"),
+    ("robot.nodes[0].velocity", "[0]"),
+    ("robot.springs[0].between", "[0, .nan]"),
+    ("robot.springs[0].between", "[0, 0.5]"),
+    ("robot.springs[0].between", "[0, -1]"),
+    ("robot.springs[0].between", "[0, 5000]"),
+    ("robot.center", "[.inf]"),
+    ("robot.center", "[-1]"),
+    ("scene.gravity", "[.nan, 0]"),
+    ("scene.gravity", "[0, 1.0e+999]"),
+    ("scene.gravity", "[1e300, 0]"),
+    ("scene.gravity", "fast"),
+    ("seeds", ".nan"),
+    ("seeds", "[0, 1.0e+999]"),
+    ("seeds", "-1"),
+    ("seeds", "[0, 99999999999999999999]"),
+]
+
+
+@pytest.mark.parametrize(("key", "bad"), BAD_ITEMS)
+def test_bi_3_a_bad_number_in_a_list_is_refused(key: str, bad: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(written(CUSTOM), [f"{key}={bad}"])
+    assert caught.value.key.startswith(key)
+    assert re.search(r"allowed: |numbered 0 to 1", caught.value.message)
+
+
+SWEPT = [number for number in RANGED if number.values[0] is STARFISH]
+
+
+@pytest.mark.parametrize("bad", [".nan", "-.inf", "1.0e+999", "1e300", "-1e300", "fast", "true"])
+@pytest.mark.parametrize(("data", "path"), SWEPT)
+def test_bi_3_a_bad_number_is_refused_in_a_sweep_and_in_a_condition(
+    data: dict[str, Any], path: tuple[Any, ...], bad: str
+) -> None:
+    key, good = ".".join(path), parent_of(data, path)[path[-1]]
+    base = written({name: value for name, value in data.items() if name not in ("sweep", "conditions")})
+    swept = error_of(f"{base}sweep:\n  {key}: [{good},\n    {bad}]\n")
+    assert (swept.line, swept.column, swept.key) == (base.count("\n") + 3, 5, f"sweep.{key}[1]")
+    assert "allowed: " in swept.message
+    inner = bad
+    for part in reversed(path):
+        inner = f"{{{part}: {inner}}}"
+    named = error_of(f"{base}conditions:\n  one: {inner}\n")
+    assert (named.line, named.key) == (base.count("\n") + 2, f"conditions.one.{key}")
+    assert "allowed: " in named.message
+
+
 @pytest.mark.parametrize(
-    "key",
+    ("number", "words"),
     [
-        "robot.height",
-        "robot.width",
-        "robot.center_side",
-        "robot.node_mass",
-        "robot.arms",
-        "robot.sections",
-        "robot.groups_per_arm",
-        "robot.stiffness.side",
-        "scene.floor.stiffness",
-        "physics.dt",
-        "physics.iterations",
-        "physics.theta",
-        "physics.max_speed",
-        "physics.max_strain",
-        "physics.max_energy",
-        "trial.duration",
-        "trial.period",
-        "trial.max_amplitude",
-        "learning.epochs",
-        "learning.population",
-        "learning.parents",
-        "learning.scale",
-        "learning.rate",
-        "wobble.period",
-        "wobble.end",
-        "wobble.mean",
-        "wobble.upper_bound",
+        ("1e3", "1000.0 has a point or an exponent; a whole number is written 1000; allowed: a whole number"),
+        ("20.0", "20.0 has a point or an exponent; a whole number is written 20; allowed: a whole number"),
+        ("2.5", "2.5 is not a whole number; allowed: a whole number"),
+        ("1e300", "1e+300 is not a whole number; allowed: a whole number"),
     ],
 )
-def test_bi_3_zero_is_refused_where_it_makes_no_sense(key: str) -> None:
-    with pytest.raises(ConfigError, match=r"0 is too small; allowed: .*(above|at least)"):
-        parse_config(written(STARFISH), ["sweep={}", f"{key}=0"])
+def test_a_whole_number_written_as_another_is_told_how(number: str, words: str) -> None:
+    assert words in error_of(f"name: a\nlearning: {{epochs: {number}}}\n").message
 
 
 @pytest.mark.parametrize(
@@ -361,9 +430,36 @@ def test_bi_8_names_that_are_no_safe_file_names_are_refused(name: str, form: str
         parse_config(form.format(name))
 
 
-@pytest.mark.parametrize("name", ["a", "figure-3b", "0.1", "A_b.c-d", "a" * 80, "2024-11-22", "null-hypothesis"])
+@pytest.mark.parametrize("name", ["a", "figure-3b", "0.1", "A_b.c-d", "a" * 80, "2024-11-22-b", "null-hypothesis"])
 def test_safe_names_are_accepted(name: str) -> None:
     assert parse_config(f'name: "{name}"').name == name
+
+
+LOOKALIKES = "\ufb01xed fi\u0445ed \uff46ixed f\u0131xed fixe\u0301d fi\u200bxed fixed\u202e \u212aept \u00b2"
+
+
+@pytest.mark.parametrize("twin", LOOKALIKES.split(), ids=ascii)
+def test_bi_8_names_that_look_like_others_are_refused(twin: str) -> None:
+    for text in (f'name: "{twin}"\n', f'name: a\nconditions:\n  fixed: {{log: trials}}\n  "{twin}": {{}}\n'):
+        error = error_of(text)
+        assert "cannot name a file" in error.message
+        assert ascii(twin) in error.message  # shown by its number, for it looks like another
+
+
+@pytest.mark.parametrize(
+    "value", ["'../x'", "'/x'", "'..'", "'a/b'", "'a\\b'", "'a\\0b'", "'-x'", "'CON'", "'../../etc/passwd'"]
+)
+def test_bi_8_no_swept_value_leaves_its_folder(value: str) -> None:
+    with pytest.raises(ConfigError):  # of all that can be swept, nothing is free text
+        parse_config(f"name: a\nsweep: {{log: [epochs, {value}]}}\n")
+    robot = "{kind: custom, nodes: [{position: [0, 0]}, {position: [9, 0]}], springs: [{between: [0, 1], stiffness: 1}]"
+    for key in ("'robot.nodes[0].mass'", "robot/../x.mass", "../x"):
+        grid = f"sweep: {{{key}: [0.5, 1]}}"
+        try:
+            found = expand(parse_config(f"name: a\nrobot: {robot}, muscles: [{{spring: 0, group: 0}}]}}\n{grid}\n"))
+        except ConfigError:
+            continue
+        assert [condition.id for condition in found] == ["mass-0.5", "mass-1"]
 
 
 def test_bi_8_names_that_differ_only_in_case_are_refused() -> None:

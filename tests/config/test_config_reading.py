@@ -12,20 +12,13 @@ from typing import Any
 
 import pytest
 import yaml
+from config.bombs import LIST_BOMB, merge_bomb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wobblesim.config import ConfigError, load_config, parse_config, reading
+from wobblesim.config import ConfigError, expand, load_config, parse_config, reading
 from wobblesim.config.reading import plain_value, read_document
 
-MERGE_BOMB = "a: &a {x1: 1}\n" + "".join(
-    f"{name}: &{name} {{" + ", ".join(f"<<: *{before}" for _ in range(9)) + "}\n"
-    for before, name in zip("abcdefgh", "bcdefghi", strict=True)
-)
-LIST_BOMB = "a: &a [0,0,0,0,0,0,0,0,0]\n" + "".join(
-    f"{name}: &{name} [" + ",".join([f"*{before}"] * 9) + "]\n"
-    for before, name in zip("abcdefgh", "bcdefghi", strict=True)
-)
 LOADERS = [yaml.SafeLoader, *([yaml.CSafeLoader] if yaml.__with_libyaml__ else [])]
 
 
@@ -56,6 +49,35 @@ def test_bi_2_what_readers_disagree_about_is_refused(written: str) -> None:
     error = refusal_of(f"name: a\nlearning: {{epochs: {written}}}")
     assert (error.line, error.column, error.key) == (2, 20, "learning.epochs")
     assert "or put it in quotes if it is text" in error.message
+
+
+@pytest.mark.parametrize("written", ["1e-3", "010", "12:30:45", "no", "1_000"])
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("name: {}\n", "name"),
+        ("name: ab\nlog: {}\n", "log"),
+        ("name: ab\nseeds: {}\n", "seeds"),
+        ("name: ab\nseeds: [0, {}]\n", "seeds"),
+        ("name: ab\nlearning:\n  epochs: {}\n", "learning.epochs"),
+        ("name: ab\nscene: {{gravity: [0, {}]}}\n", "scene.gravity"),
+        ("name: ab\nwobble: {{dimension: {}, amplitude: 0.1, period: 9}}\n", "wobble.dimension"),
+        ("name: ab\nsweep:\n  physics.dt: [{}]\n", "sweep.physics.dt"),
+        ("name: ab\nconditions:\n  cd: {{physics: {{dt: {}}}}}\n", "conditions.cd.physics.dt"),
+    ],
+)
+def test_bi_2_no_spelling_becomes_a_text_or_another_number(text: str, key: str, written: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.yaml"
+    path.write_text(text.format(written), encoding="utf-8")
+    if written == "1e-3" and key in ("scene.gravity", "sweep.physics.dt", "conditions.cd.physics.dt"):
+        (condition,) = expand(load_config(path))
+        assert condition.parameters.physics.dt == 0.001 or condition.parameters.scene.gravity == (0.0, 0.001)
+        return
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert caught.value.key.startswith(key)
+    assert caught.value.line == text.count("\n")
+    assert f"'{written}' " in caught.value.message or "0.001 is not" in caught.value.message
 
 
 def test_bi_2_a_duplicate_key_is_refused_with_both_lines() -> None:
@@ -97,8 +119,8 @@ def test_quotes_make_text() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (LIST_BOMB, "aliases"),
-        (MERGE_BOMB, "anchors"),
+        (LIST_BOMB, "aliases (*) stand for more than 10,000 values"),
+        (merge_bomb(8), "merge keys"),
         ("name: a\nlearning: {<<: {epochs: 3}}", "merge keys"),
         ("name: " + "[" * 5000, "nested deeper"),
         ("name: " + "{a: " * 5000, "nested deeper"),
@@ -128,6 +150,85 @@ def test_bi_6_a_large_file_is_refused_unread(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
+ANCHORED = """\
+name: study
+wobble: &base {dimension: &what [mass, size], amplitude: &a 0.1, period: 25}
+sweep: {physics.dt: [0.01, 0.02]}
+conditions:
+  twice: {wobble: {amplitude: *a, dimension: *what}, log: trials}
+  again: {wobble: *base, log: behaviours}
+  third: &third {wobble: null}
+  fourth: {learning: &few {epochs: 3}, trial: {duration: 9}}
+  fifth: {learning: *few}
+"""
+
+
+def test_an_alias_is_a_copy_of_what_its_anchor_names() -> None:
+    read = read_document(ANCHORED, "study.yaml")
+    assert read.data == yaml.safe_load(ANCHORED)
+    assert read.data["conditions"]["again"]["wobble"] is not read.data["wobble"]
+    changed = parse_config(ANCHORED, ["wobble.amplitude=0.3"])
+    assert changed.wobble is not None
+    assert (changed.wobble.amplitude, changed.conditions["again"]["wobble"]["amplitude"]) == (0.3, 0.1)
+
+
+def flow(value: Any) -> str:
+    """Write nested data on one line; text stands as it is."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {flow(item)}" for key, item in value.items()) + "}"
+    return f"[{', '.join(map(flow, value))}]" if isinstance(value, list) else str(value)
+
+
+def nested(aliases: list[str]) -> st.SearchStrategy[Any]:
+    """Mappings and lists of numbers and aliases."""
+    leaves = st.sampled_from(["1", "2", *aliases])
+    inner = st.recursive(
+        leaves, lambda i: st.lists(i, max_size=3) | st.dictionaries(st.sampled_from("abc"), i, max_size=3), max_leaves=6
+    )
+    return st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from("abc"), inner, max_size=3)
+
+
+@settings(max_examples=100)
+@given(nested([]), nested(["*x"]), nested(["*x", "*y"]), nested(["*x", "*y", "*z"]))
+def test_aliases_mean_what_they_mean_to_pyyaml(first: Any, second: Any, third: Any, fourth: Any) -> None:
+    parts = {"a: &x ": first, "b: &y ": second, "c: &z ": third, "d: ": fourth}
+    text = "".join(f"{key}{flow(part)}\n" for key, part in parts.items())
+    assert read_document(text, "x").data == yaml.safe_load(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "column", "key", "words"),
+    [
+        ("name: a\nphysics: {dt: *b}", 2, 15, "physics.dt", "the alias '*b' has no anchor '&b' before it"),
+        ("name: a\nphysics: {dt: *b, theta: &b 1}", 2, 15, "physics.dt", "has no anchor"),
+        ("name: a\nphysics: &b {dt: *b}", 2, 18, "physics.dt", "stands inside its anchor '&b'"),
+        ("name: a\nsweep: {a: &b [[*b]]}", 2, 17, "sweep.a[0][0]", "stands inside its anchor"),
+        ("name: a\nphysics: {dt: &b 1}\ntrial: &b {}", 3, 8, "trial", "the anchor '&b' is given twice"),
+        ("name: a\nphysics: {dt: &b !!float 1}", 2, 15, "physics.dt", "tag"),
+        ("name: a\ntrial: &b {dt: 1}\nphysics: *b", 2, 12, "trial.dt", "dt belongs under physics"),
+        ("name: a\nphysics: &b {dt: 1}\ntrial: *b", 3, 8, "trial.dt", "dt belongs under physics"),
+        ("name: a\nlog: &b {x: 1}\nconditions: {c: {trial: *b}}", 2, 6, "log", "is not a choice"),
+        ("name: a\nconditions: {c: &b {wobble: null}, d: *b}", 2, 39, "conditions.d", "is the same as c"),
+        ("name: a\nlog: &b epochs\ntrial: {period: *b}", 3, 17, "trial.period", "'epochs' is not a number"),
+    ],
+)
+def test_errors_of_aliases_stand_where_the_alias_does(text: str, line: int, column: int, key: str, words: str) -> None:
+    error = refusal_of(text)
+    assert ((error.line, error.column), error.key) == ((line, column), key)
+    assert words in error.message
+
+
+def test_bi_6_aliases_stand_for_a_limited_number_of_values_and_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+    five = "name: ab\nwobble: &w {dimension: mass, amplitude: 0.1, period: 9}\nconditions:\n"  # 4 values each time
+    monkeypatch.setattr(reading, "MAX_COPIED", 8)
+    assert len(expand(parse_config(f"{five}  c: {{wobble: *w}}\n  d: {{wobble: *w, log: trials}}\n"))) == 2
+    over = refusal_of(f"{five}  c: {{wobble: *w}}\n  d: {{wobble: *w, log: trials}}\n  e: {{wobble: *w}}\n")
+    assert ((over.line, over.column), over.key) == ((6, 15), "conditions.e.wobble")
+    monkeypatch.undo()
+    deep = "a: &a " + "[" * 9 + "]" * 9
+    assert "nested deeper" in refusal_of(f"{deep}\nb: [[[[*a]]]]").message
+
+
 def test_bi_6_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "MAX_VALUES", 1000)
     assert "more than 1,000 values" in refusal_of("name: a\nseeds: [" + "0, " * 2000 + "0]\n").message
@@ -153,7 +254,9 @@ def test_bi_6_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
         (b"name: !!python/object/apply:os.system [x]\n", "tag"),
         (b"name: !!str a\n", "tag"),
         (b"name: !own a\n", "tag"),
-        (b"name: &a x\n", "anchors"),
+        (b"name: *a\n", "has no anchor"),
+        (b"&a name: x\n", "a key has no anchor"),
+        (b"*a : x\n", "key must be a word"),
         (b"!!set {name: a}\n", "tag"),
     ],
 )

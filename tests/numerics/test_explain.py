@@ -18,6 +18,7 @@ from wobblesim.learning.search import Search
 from wobblesim.learning.wobble import Wobble
 from wobblesim.numerics import explain_terms as terms
 from wobblesim.numerics.explain import Probes, call_seconds, keep_books, still_epochs, trial_bytes
+from wobblesim.physics.simulate import full_block
 from wobblesim.study.execute import sweep
 from wobblesim.study.plan import study as lay_out
 
@@ -138,7 +139,7 @@ def test_the_memory_of_a_call_is_what_it_allocates(integrator, n_trials):
 
     def call():
         options = {"scene": made.scene, "physics": made.physics, "gait": made.gait}
-        width = terms.full_block(made)
+        width = full_block(made.physics)
         ws.simulate(robot, behaviours, duration=made.duration, threads=1, width=width, **options)
 
     call()  # what is kept between calls, and the kernel

@@ -8,8 +8,8 @@ from wobblesim.analysis.tables import load
 from wobblesim.config import expand
 from wobblesim.learning.run import Learner
 from wobblesim.study.execute import sweep
+from wobblesim.study.manifest import read_manifest
 from wobblesim.study.plan import setup
-from wobblesim.study.store import read_manifest
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,5 @@
 """Stopped, killed, gone on: the same rows as if nothing had happened."""
 
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
-
 import numpy as np
 import pytest
 from study.toy import StopAfter, content, study, toy
@@ -15,8 +7,7 @@ from study.toy import StopAfter, content, study, toy
 from wobblesim.study import resume
 from wobblesim.study.execute import sweep
 from wobblesim.study.store import CHECKPOINTS
-
-ROOT = Path(__file__).parents[2]
+from wobblesim.study.work import Interval
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +51,7 @@ def test_a_stopped_group_does_not_repeat_its_epochs(tmp_path):
 
 
 def test_frequent_checkpoints_change_nothing_and_leave_nothing(tmp_path, whole):
-    sweep(study(), tmp_path, simulate=toy, checkpoint_every=0.0)
+    sweep(study(), tmp_path, simulate=toy, checkpoint=Interval(seconds=0.0))
     assert content(tmp_path) == whole
     assert list((tmp_path / CHECKPOINTS).iterdir()) == []
 
@@ -111,49 +102,19 @@ def test_a_checkpoint_holds_no_pickle(tmp_path):
 def test_a_crash_between_the_runs_of_a_group_repeats_none_of_them(tmp_path, whole, monkeypatch):
     from wobblesim.study.store import Store
 
-    commit, left = Store.commit, iter(range(2))
+    commit = Store.commit
 
-    def dying(store, run, tables):
-        if next(left, None) is None:
-            raise KeyboardInterrupt
-        commit(store, run, tables)
+    def dying(store, lines):
+        commit(store, lines[:2])  # as if the system had written no more of the lines
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(Store, "commit", dying)
         with pytest.raises(KeyboardInterrupt):
-            sweep(study(), tmp_path, simulate=toy, checkpoint_every=0.0)
+            sweep(study(), tmp_path, simulate=toy, checkpoint=Interval(seconds=0.0))
     outcome = sweep(study(), tmp_path, simulate=toy)
     assert (outcome.present, outcome.done) == (2, 6)
     assert content(tmp_path) == whole
-
-
-SWEEP = """
-import sys
-from study.toy import slow_toy, study
-from wobblesim.study.execute import sweep
-sweep(study(), sys.argv[1], simulate=slow_toy(0.03), checkpoint_every=0.05)
-"""
-
-
-def test_kill_9_at_any_time_costs_no_row_and_doubles_none(tmp_path, whole):
-    chance = random.Random(0)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
-    for _ in range(4):
-        process = subprocess.Popen([sys.executable, "-c", SWEEP, tmp_path], env=environment)
-        _wait_for(tmp_path / "config.yaml", process)
-        time.sleep(chance.uniform(0.0, 0.5))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    sweep(study(), tmp_path, simulate=toy)
-    assert content(tmp_path) == whole
-
-
-def _wait_for(path: Path, process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + 30
-    while not path.exists():
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_checkpoint_is_of_its_seeds_only(tmp_path):

@@ -12,7 +12,8 @@ import pyarrow as pa
 
 from wobblesim.config import SweepConfig, parse_config
 from wobblesim.physics.simulate import Trials
-from wobblesim.study.store import read_manifest, read_tables
+from wobblesim.study.files import read_tables
+from wobblesim.study.manifest import read_manifest
 
 STUDY = """
 name: toy
@@ -81,11 +82,11 @@ def content(folder: Path) -> dict[str, bytes]:
     manifest = read_manifest(folder)
     found = {}
     for name in TABLES:
-        for path in sorted(manifest.files(name)):
-            table = read_tables(folder, [path])
+        for file in sorted(manifest.files(name)):
+            table = read_tables(folder, [file])
             if name == "runs":
                 table = table.drop_columns(["seconds"])
-            found[path] = as_bytes(table)
+            found[file.path] = as_bytes(table)
     return found
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from wobblesim.study.store import MANIFEST, Manifest, StoreError, read_manifest, read_tables
+from wobblesim.study.errors import StoreError
+from wobblesim.study.files import read_tables
+from wobblesim.study.manifest import Manifest, manifests, read_manifest
 
 
 @dataclass(frozen=True)
@@ -50,12 +52,12 @@ class Results:
         return self._read("behaviours", columns)
 
     def _read(self, table: str, columns: tuple[str, ...]) -> pd.DataFrame:
-        paths = self.manifest.files(table)
-        if not paths:
+        files = self.manifest.files(table)
+        if not files:
             raise StoreError(
                 f"{self.folder} has no {table}; set `log: {table}` in the configuration and run it into another folder"
             )
-        frame = read_tables(self.folder, paths, list(columns) or None).unify_dictionaries().to_pandas()
+        frame = read_tables(self.folder, files, list(columns) or None).unify_dictionaries().to_pandas()
         if "condition" in frame:
             frame["condition"] = pd.Categorical(frame["condition"].astype(str), self.conditions, ordered=True)
         return frame
@@ -70,7 +72,7 @@ def load(folder: str | Path) -> Results:
         If there is no finished run in it.
     """
     folder = Path(folder)
-    if not (folder / MANIFEST).is_file():
+    if not manifests(folder):
         raise StoreError(f"{folder} holds no results; give the folder that a sweep has written")
     manifest = read_manifest(folder)
     if not manifest.runs:

@@ -11,8 +11,12 @@ import click
 COMMANDS = {
     "sweep": "wobblesim.commands.sweep",
     "status": "wobblesim.commands.status",
+    "verify": "wobblesim.commands.verify",
+    "compact": "wobblesim.commands.compact",
+    "rerun": "wobblesim.commands.rerun",
     "plot": "wobblesim.commands.plot",
     "check": "wobblesim.commands.check",
+    "schema": "wobblesim.commands.schema",
     "accuracy": "wobblesim.commands.accuracy",
     "stability": "wobblesim.commands.stability",
     "explain": "wobblesim.commands.explain",
@@ -53,9 +57,9 @@ def _in_one_sentence(error: Exception) -> click.ClickException | None:
     """What a mistake of the user, or a full disk, is told as; other errors are ours and have a traceback."""
     if _is(error, "config.errors", "ConfigError"):
         return _Refusal(error.report())  # type: ignore[attr-defined]
-    if _is(error, "study.store", "WriteError"):
+    if _is(error, "study.errors", "WriteError"):
         return _NotWritten(str(error))
-    if _is(error, "study.store", "StoreError") or _is(error, "study.plan", "PlanError"):
+    if _is(error, "study.errors", "StoreError") or _is(error, "study.plan", "PlanError"):
         return _Refusal(str(error))
     return None
 

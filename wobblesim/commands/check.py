@@ -17,18 +17,19 @@ def command(config: str, settings: tuple[str, ...], seeds: str | None, as_json: 
     code 2).
     """
     from wobblesim.config import load_config, remarks
-    from wobblesim.study.plan import lane_steps, study
 
     loaded = load_config(config, settings, seeds)
+    from wobblesim.study.plan import lane_steps, study  # a bad file is answered before the simulator is imported
+
     laid_out = study(loaded)
     work = len(laid_out.seeds) * sum(map(lane_steps, laid_out.setups.values()))
     if as_json:
         asked = {"name": loaded.name, "conditions": list(laid_out.conditions), "seeds": len(laid_out.seeds)}
-        echo_json(asked | {"runs": len(laid_out.runs), "lane_steps": work, "remarks": list(remarks(loaded))})
+        echo_json(asked | {"runs": laid_out.n_runs, "lane_steps": work, "remarks": list(remarks(loaded))})
         return
     for remark in remarks(loaded):
         click.echo(f"note: {remark}", err=True)
     click.echo(
         f"{config}: sound; {plural(len(laid_out.conditions), 'condition')}, {plural(len(laid_out.seeds), 'seed')}, "
-        f"{plural(len(laid_out.runs), 'run')}, at most {work:.3g} lane-steps"
+        f"{plural(laid_out.n_runs, 'run')}, at most {work:.3g} lane-steps"
     )

@@ -6,7 +6,8 @@ import os
 import sys
 import threading
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
@@ -19,6 +20,56 @@ SAY_AT_LEAST_EVERY = 30.0
 """s without a line, at most, where there are no bars."""
 
 
+class _Stderr:
+    """Standard error, which may be gone: a closed terminal or pipe must not cost a checkpoint."""
+
+    def __init__(self) -> None:
+        self._stream = sys.stderr
+
+    def write(self, text: str) -> int:
+        """Write, if anybody reads."""
+        return self._try(lambda: self._stream.write(text)) or len(text)
+
+    def flush(self) -> None:
+        """Flush, if anybody reads."""
+        self._try(self._stream.flush)
+
+    def _try(self, call: Callable[[], Any]) -> Any:
+        try:
+            return call()
+        except OSError:
+            _let_go(self._stream, sys.stdout)
+            return None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _let_go(*streams: TextIO) -> None:
+    """Have what is written to streams that nobody reads any more go nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in streams:
+        if _is_gone(stream):
+            os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+
+
+def _is_gone(stream: TextIO) -> bool:
+    """Whether writing to a stream fails."""
+    try:
+        stream.flush()
+        os.write(stream.fileno(), b"")
+    except ValueError:  # it has no file, or is closed
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def _say(line: str) -> None:
+    click.echo(line, file=_Stderr())  # type: ignore[arg-type]
+
+
 class Display(ABC):
     """Shows the progress of a sweep while it is entered."""
 
@@ -27,6 +78,7 @@ class Display(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+        _let_go(sys.stderr, sys.stdout)
 
     @abstractmethod
     def close(self) -> None:
@@ -53,7 +105,7 @@ class Silent(Display):
     def __call__(self, progress: Progress) -> None:
         """Show failures and notes."""
         if progress.kind in ("failure", "note"):
-            click.echo(progress.message, err=True)
+            _say(progress.message)
 
 
 class Plain(Display):
@@ -81,7 +133,7 @@ class Plain(Display):
         self._speaker.join()
 
     def _echo(self, line: str) -> None:
-        click.echo(line, err=True)
+        _say(line)
 
     def say(self, message: str) -> None:
         """Write a line."""
@@ -106,7 +158,7 @@ class Bars(Display):
         from rich import progress as bars
         from rich.console import Console
 
-        self._console = Console(stderr=True, highlight=False)
+        self._console = Console(file=_Stderr(), highlight=False)  # type: ignore[arg-type]
         self._bars = bars.Progress(
             bars.TextColumn("{task.description}"),
             bars.BarColumn(bar_width=30),

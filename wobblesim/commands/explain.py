@@ -71,11 +71,11 @@ def command(
 
 def _present(config: SweepConfig, folder: Path) -> dict[str, int]:
     """Runs of each condition that are there; none, with a note, if a sweep would refuse the folder."""
+    from wobblesim.study.errors import StoreError
     from wobblesim.study.preview import preview
-    from wobblesim.study.store import StoreError
 
     try:
-        return {row["condition"]: row["present"] for row in preview(config, folder)}
+        return dict(preview(config, folder).present)
     except StoreError as error:
         click.echo(f"note: a sweep would be refused: {error}", err=True)
         return {}
@@ -119,7 +119,7 @@ def _print_work(found: Explanation) -> None:
 def _row(work: Work) -> list[str]:
     counts = (work.wanted, work.present, work.missing, work.trials, work.simulated, work.reused)
     share = f"{100 * work.reused / work.trials:.1f}" if work.trials else "–"
-    time = _duration(work.physics + work.learning)
+    time = how_long(work.physics + work.learning)
     return [work.condition, *(f"{count:,}" for count in counts), share, f"{work.lane_steps:,}", time]
 
 
@@ -128,21 +128,22 @@ def _print_needs(found: Explanation, folder: Path) -> None:
     learning = sum(work.learning for work in found.work)
     wanted, present = (sum(getattr(work, name) for work in found.work) for name in ("wanted", "present"))
     click.echo(
-        f"time    {_duration(found.seconds)} on {plural(found.threads, 'thread')}, "
-        f"{_duration(learning)} of it for learning, logging and storing; start and picture come on top\n"
-        f"memory  {_bytes(memory.total)}: {_bytes(memory.program)} program and libraries, {_bytes(memory.trials)} "
-        f"trials, {_bytes(memory.tables)} tables\n"
-        f"disk    {_bytes(disk.results)} of results besides pictures, at most {_bytes(disk.checkpoints)} of "
+        f"time    {how_long(found.seconds)} on {plural(found.threads, 'thread')}, "
+        f"{how_long(learning)} of it for learning, logging and storing; start and picture come on top\n"
+        f"memory  {amount(memory.total)}: {amount(memory.program)} program and libraries, {amount(memory.trials)} "
+        f"trials, {amount(memory.tables)} tables\n"
+        f"disk    {amount(disk.results)} of results besides pictures, at most {amount(disk.checkpoints)} of "
         f"checkpoints meanwhile\n"
         f"results {folder}: {present:,} of {plural(wanted, 'run')} there"
     )
 
 
-def _duration(seconds: float) -> str:
+def how_long(seconds: float) -> str:
+    """Say a time in words, a short one too."""
     return f"{seconds:.2g} s" if seconds < 10 else duration(seconds)
 
 
-def _bytes(count: int) -> str:
+def amount(count: int) -> str:
     """Say a number of bytes with two digits or more."""
     for size, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
         if count >= size:

@@ -11,7 +11,7 @@ import click
 from wobblesim.commands.options import echo_json, json_option, print_table, table
 
 if TYPE_CHECKING:
-    from wobblesim.study.store import Manifest
+    from wobblesim.study.manifest import Manifest
 
 
 @click.command("status")
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
 @json_option
 def command(folder: Path, as_json: bool) -> None:
     """Say how far the sweep in DIR is; it only reads files, so it works from another shell while the sweep runs."""
-    from wobblesim.study.store import MANIFEST, StoreError, holder, read_manifest
+    from wobblesim.study.errors import StoreError
+    from wobblesim.study.lock import writers
+    from wobblesim.study.manifest import manifests, read_manifest
 
-    if not (folder / MANIFEST).is_file():
+    if not manifests(folder):
         raise StoreError(f"{folder} holds no results; give the folder that a sweep writes")
     manifest = read_manifest(folder)
     rows = _rows(folder, manifest)
     errors = sorted(
         {f"{condition}: {error.strip().splitlines()[-1]}" for (condition, _), error in manifest.failures.items()}
     )
-    writer = holder(folder)
+    found = writers(folder)
     if as_json:
-        echo_json({"results": str(folder), "writer": writer, "conditions": rows, "errors": errors})
+        echo_json({"results": str(folder), "writers": found, "conditions": rows, "errors": errors})
         return
     columns = ["wanted", "done", "failed", "missing", "diverged", "refined"]
     cells = [[row["condition"], *(f"{row[name]:,}" for name in columns), row["in_progress"]] for row in rows]
@@ -38,31 +40,26 @@ def command(folder: Path, as_json: bool) -> None:
     print_table(table(["condition", *titles], cells))
     for line in (*manifest.unreadable, *errors):
         click.echo(line, err=True)
-    click.echo(f"being written by {writer}" if writer else "nobody is writing")
+    click.echo(f"being written by {', '.join(found)}" if found else "nobody is writing")
 
 
 def _rows(folder: Path, manifest: Manifest) -> list[dict[str, Any]]:
     """One row a condition; `failed` counts runs without a score and runs whose learner raised."""
-    from wobblesim.config import expand, load_config
-    from wobblesim.study.store import CONFIG
-
-    config = load_config(folder / CONFIG)
-    wanted = {(condition.id, seed) for condition in expand(config) for seed in config.seeds} | set(manifest.runs)
-    wanted_by = Counter(condition for condition, _ in wanted)
+    wanted = manifest.wanted()
     done = Counter(condition for condition, _ in manifest.runs)
-    failed = Counter(condition for (condition, _), run in manifest.runs.items() if run["status"] == "failed")
+    failed = Counter(condition for (condition, _), run in manifest.runs.items() if run.status == "failed")
     failed += Counter(condition for condition, _ in manifest.failures)
     diverged, refined = Counter[str](), Counter[str]()
     for (condition, _), run in manifest.runs.items():
-        diverged[condition] += run["diverged"]
-        refined[condition] += run["refined"]
+        diverged[condition] += run.diverged
+        refined[condition] += run.refined
     return [
         {
             "condition": condition,
-            "wanted": wanted_by[condition],
+            "wanted": len(wanted[condition]),
             "done": done[condition],
             "failed": failed[condition],
-            "missing": wanted_by[condition] - done[condition],
+            "missing": len(wanted[condition]) - done[condition],
             "diverged": diverged[condition],
             "refined": refined[condition],
             "in_progress": _in_progress(folder, condition),

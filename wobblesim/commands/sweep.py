@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from wobblesim.commands.engine import EngineChoice, engine_options
 from wobblesim.commands.options import config_options, echo_json, json_option, plural, print_table, table
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from wobblesim.commands.display import Display
     from wobblesim.config import SweepConfig
     from wobblesim.study.execute import Outcome
+    from wobblesim.study.lock import Shard
 
 SOME_FAILED, STOPPED = 3, 4
 
@@ -27,7 +29,26 @@ FIGURE = Path("figures", "learning-curve.png")
 @click.option(
     "--out", metavar="DIR", type=click.Path(path_type=Path), help="Folder of the results.  [default: results/NAME]"
 )
-@click.option("--threads", type=click.IntRange(min=1), help="Threads at most.  [default: one for each processor]")
+@click.option(
+    "--fork",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Store in DIR instead, beginning with the runs of --out whose settings are unchanged.",
+)
+@click.option(
+    "--shard",
+    metavar="K/N",
+    help="Compute the K-th of N parts of the runs, beside other processes that compute the others.",
+)
+@click.option(
+    "--checkpoint-seconds",
+    type=click.FloatRange(min=0.0),
+    default=30.0,
+    show_default=True,
+    help="Wall time between two checkpoints of a run.",
+)
+@click.option("--checkpoint-epochs", type=click.IntRange(min=1), help="Epochs between two checkpoints, at most.")
+@engine_options
 @click.option(
     "--progress",
     type=click.Choice(["auto", "rich", "plain", "none"]),
@@ -35,7 +56,7 @@ FIGURE = Path("figures", "learning-curve.png")
     show_default=True,
     help="Bars, plain lines or nothing on stderr; auto: bars on a terminal.",
 )
-@click.option("-n", "--dry-run", is_flag=True, help="Say what would be computed, and compute nothing.")
+@click.option("-n", "--dry-run", is_flag=True, help="Say what would be computed and what it takes; compute nothing.")
 @json_option
 @click.pass_context
 def command(
@@ -44,7 +65,11 @@ def command(
     settings: tuple[str, ...],
     seeds: str | None,
     out: Path | None,
-    threads: int | None,
+    fork: Path | None,
+    shard: str | None,
+    checkpoint_seconds: float,
+    checkpoint_epochs: int | None,
+    engine: EngineChoice,
     progress: str,
     dry_run: bool,
     as_json: bool,
@@ -59,27 +84,43 @@ def command(
         wobblesim sweep configs/quickstart.yaml
         wobblesim sweep study.yaml --set learning.epochs=100 --seeds 0..3 --out results/try
         wobblesim sweep study.yaml --dry-run
+        wobblesim sweep study.yaml --engine dask --workers 8
     """  # noqa: D301 - click reads the backspace
     from wobblesim.config import load_config, remarks
+    from wobblesim.study.work import Interval
 
     loaded = load_config(config, settings, seeds)
+    part = _shard(shard)
     for remark in remarks(loaded):
         click.echo(f"note: {remark}", err=True)
     _warn_of_unsafe_wobbles(loaded)
-    folder = out or Path("results", loaded.name)
+    home = out or Path("results", loaded.name)
     if dry_run:
-        _preview(loaded, folder, as_json)
+        from wobblesim.commands.dry_run import show
+
+        show(loaded, fork or home, as_json, engine.threads, engine.workers, part)
         return
-    outcome = _run(loaded, folder, threads, progress)
-    _report(outcome, as_json)
+    options = {"checkpoint": Interval(checkpoint_seconds, checkpoint_epochs), "shard": part}
+    outcome = _run(loaded, fork or home, engine, progress, fork_of=home if fork else None, **options)
+    _report(outcome, as_json, part)
     if outcome.stopped:
         click.echo(f"stopped; to go on: {_same_command(ctx)}", err=True)
         ctx.exit(STOPPED)
     if outcome.failed:
         click.echo(
-            f"{plural(outcome.failed, 'run')} failed: see `wobblesim status {shlex.quote(str(folder))}`", err=True
+            f"{plural(outcome.failed, 'run')} failed: see `wobblesim status {shlex.quote(str(outcome.folder))}`",
+            err=True,
         )
         ctx.exit(SOME_FAILED)
+
+
+def _shard(text: str | None) -> Shard | None:
+    from wobblesim.study.lock import Shard
+
+    try:
+        return Shard.of(text) if text else None
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--shard") from error
 
 
 def _warn_of_unsafe_wobbles(config: SweepConfig) -> None:
@@ -96,7 +137,7 @@ def _warn_of_unsafe_wobbles(config: SweepConfig) -> None:
         click.echo(f"warning: {conditions[0]}{others}: {remark}", err=True)
 
 
-def _run(config: SweepConfig, folder: Path, threads: int | None, progress: str) -> Outcome:
+def _run(config: SweepConfig, folder: Path, engine: EngineChoice, progress: str, **options: Any) -> Outcome:
     from wobblesim.commands.display import display
     from wobblesim.commands.stopping import stop_on_signals
     from wobblesim.physics.kernels import is_warm
@@ -105,7 +146,8 @@ def _run(config: SweepConfig, folder: Path, threads: int | None, progress: str) 
     with display(progress) as shown, stop_on_signals(lambda: _promise_to_stop(shown), shown.close) as stop:
         if not is_warm():
             shown.say("compiling kernels, once on this machine: the first epoch takes some seconds more")
-        return sweep(config, folder, threads=threads, progress=shown, stop=stop)
+        opened = engine.opened(shown.say)
+        return sweep(config, folder, threads=engine.threads, engine=opened, progress=shown, stop=stop, **options)
 
 
 def _promise_to_stop(shown: Display) -> None:
@@ -129,16 +171,20 @@ def _same_command(ctx: click.Context) -> str:
 # --- what came out -------------------------------------------------------------------------------------------------
 
 
-def _report(outcome: Outcome, as_json: bool) -> None:
-    """Print the summary and draw the figure of what is there, be it a part."""
+def _report(outcome: Outcome, as_json: bool, part: Shard | None) -> None:
+    """Print the summary and draw the figure of what is there, be it a part; of a shard, which sees a part, neither."""
     from wobblesim.analysis.statistics import baseline, summary
     from wobblesim.analysis.tables import load
-    from wobblesim.study.store import read_manifest
+    from wobblesim.study.manifest import read_manifest
 
     told: dict[str, Any] = {name: getattr(outcome, name) for name in TOLD} | {"results": str(outcome.folder)}
-    if not read_manifest(outcome.folder).runs:
+    if part or not read_manifest(outcome.folder).runs:
         if as_json:
-            echo_json(told | {"conditions": []})
+            echo_json(told | ({} if part else {"conditions": []}))
+        elif part:
+            runs = outcome.present + outcome.done
+            click.echo(f"shard {part.number}/{part.count}: {runs:,} of {plural(outcome.wanted, 'run')} done")
+            click.echo(f"results: {outcome.folder}")
         return
     results = load(outcome.folder)
     figure = draw(outcome.folder)
@@ -163,7 +209,7 @@ def draw(folder: Path, path: Path | None = None) -> Path:
     """
     from wobblesim.analysis.figures.learning import learning_curves, save
     from wobblesim.analysis.tables import load
-    from wobblesim.study.store import WriteError
+    from wobblesim.study.errors import WriteError
 
     figure, path = learning_curves(load(folder)), path or folder / FIGURE
     try:
@@ -216,19 +262,3 @@ def _interval(mean: float, half_width: float, sign: str = "", digits: int = 3) -
 
 def _number(value: float) -> str:
     return f"{value:.3f}" if value == value else "–"
-
-
-# --- what would be computed ----------------------------------------------------------------------------------------
-
-
-def _preview(config: SweepConfig, folder: Path, as_json: bool) -> None:
-    from wobblesim.study.preview import preview
-
-    seen = preview(config, folder)
-    total = {name: sum(row[name] for row in seen) for name in ("wanted", "present", "missing", "lane_steps")}
-    if as_json:
-        echo_json({"results": str(folder), **total, "conditions": seen})
-        return
-    rows = [[row["condition"], *(f"{row[name]:,}" for name in total)] for row in (*seen, {"condition": "all"} | total)]
-    print_table(table(["condition", "runs", "present", "missing", "lane-steps to do, at most"], rows))
-    click.echo(f"results: {folder}")

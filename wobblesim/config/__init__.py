@@ -2,7 +2,8 @@
 
 from wobblesim.config.errors import ConfigError
 from wobblesim.config.grid import Condition, columns, expand
-from wobblesim.config.load import dump, json_schema, load_config, parse_config, remarks
+from wobblesim.config.json_schema import json_schema
+from wobblesim.config.load import condition_error, dump, load_config, parse_config, remarks
 from wobblesim.config.schema import (
     CustomRobot,
     FloorSettings,
@@ -30,6 +31,7 @@ __all__ = [
     "TrialSettings",
     "WobbleSettings",
     "columns",
+    "condition_error",
     "dump",
     "expand",
     "json_schema",

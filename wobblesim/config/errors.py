@@ -8,16 +8,19 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from pydantic import ValidationError
 
 from wobblesim.config.fields import MAX_NAME, Path, shown
 from wobblesim.config.lookup import allowed, choices_in, field_at, keys_at, leaf_paths
-from wobblesim.config.schema import Parameters, Section, SweepConfig
+from wobblesim.config.schema import MAX_EPOCHS, Parameters, Section, SweepConfig
 
 ROBOT_KINDS = ("starfish", "custom")
 SWEEP_ONLY = ("name", "seeds", "sweep", "conditions")
+MAX_TRANSLATED = 200
+"""Errors of a file that are put into words; a file with tens of thousands is answered as soon as one with a few."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,10 @@ def problems(error: ValidationError, data: Mapping[str, Any], root: type[Section
     A key that is missing because it was misspelt is reported once, as the misspelling, and a list or mapping that is
     at fault because of something in it is not reported.
     """
-    found = [_problem(details, data, root) for details in error.errors(include_url=False)]
+    details = error.errors(include_url=False)
+    if len(details) > MAX_TRANSLATED:
+        details = sorted(details, key=lambda one: one["type"] != "extra_forbidden")[:MAX_TRANSLATED]
+    found = [_problem(one, data, root) for one in details]
     meant = {(*problem.paths[0][:-1], problem.meant) for problem in found if problem.meant}
     inner = {problem.paths[0][:n] for problem in found for n in range(len(problem.paths[0]))}
     kept = [p for p in found if not (p.paths[0] in inner or (p.is_missing and p.paths[0] in meant))]
@@ -128,8 +134,19 @@ def _problem(details: Any, data: Mapping[str, Any], root: type[Section]) -> Prob
         return Problem((path,), f"is missing; {_remedy(path, root)}")
     if kind in ("union_tag_not_found", "union_tag_invalid") and isinstance(value, Mapping):
         return _bad_kind((*path, "kind"), value)
-    hint = did_you_mean(value, _choices(path, root)) if kind == "literal_error" else ""
+    hint = did_you_mean(value, _choices(path, root)) if kind == "literal_error" else _cost(path, value, data)
     return Problem((path,), f"{_fault(kind, value)}; {_remedy(path, root)}{hint}")
+
+
+def _cost(path: Path, value: Any, data: Mapping[str, Any]) -> str:
+    """Say what far too many epochs would cost; nothing where something else of the configuration is at fault too."""
+    if path != ("learning", "epochs") or not isinstance(value, int | float) or not MAX_EPOCHS < value < 1e15:
+        return ""
+    try:
+        config = SweepConfig.model_validate({**data, "learning": {**data["learning"], "epochs": MAX_EPOCHS}})
+    except ValidationError:
+        return ""
+    return f" ({config.cost(int(value))})"
 
 
 def _data_path(loc: Path, data: Any) -> Path:
@@ -156,10 +173,17 @@ def _bad_kind(path: Path, robot: Mapping[str, Any]) -> Problem:
     return Problem((path,), "is missing; allowed: starfish or custom")
 
 
+def _not_whole(value: Any) -> str:
+    is_whole = isinstance(value, float) and value.is_integer() and abs(value) < 1e15
+    return (
+        f"has a point or an exponent; a whole number is written {int(value)}" if is_whole else "is not a whole number"
+    )
+
+
 FAULTS: dict[str, Callable[[Any], str]] = {
     "float_type": lambda value: "is not a number",
-    "int_type": lambda value: "is not a whole number",
-    "int_from_float": lambda value: "is not a whole number",
+    "int_type": _not_whole,
+    "int_from_float": _not_whole,
     "finite_number": lambda value: "is not finite",
     "bool_type": lambda value: "is not true or false",
     "string_type": lambda value: "is not text" + (" (put it in quotes)" if isinstance(value, int | float) else ""),
@@ -238,6 +262,7 @@ def unknown_key(path: Path, data: Mapping[str, Any], root: type[Section] = Sweep
     return Problem((path,), f"unknown key; allowed here: {', '.join(keys)}{hint}", True)
 
 
+@lru_cache
 def _known_paths() -> tuple[tuple[str, ...], ...]:
     return (*((key,) for key in SWEEP_ONLY), *leaf_paths(Parameters))
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from itertools import pairwise
+from operator import eq
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
@@ -64,13 +66,19 @@ def text(default: Any, about: str, allowed: str, **limits: Any) -> Any:
 
 def first_double(values: Iterable[Any]) -> int | None:
     """Return the position of the first value that came before (True and 1 are different values), or None."""
-    seen: set[tuple[bool, Any]] = set()
+    seen: set[Any] = set()
     for i, value in enumerate(values):
-        key = isinstance(value, bool), value
+        key = _hashable(value)
         if key in seen:
             return i
         seen.add(key)
     return None
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return frozenset((key, _hashable(item)) for key, item in value.items())
+    return tuple(map(_hashable, value)) if isinstance(value, list | tuple) else (isinstance(value, bool), value)
 
 
 def shown(value: Any) -> str:
@@ -94,7 +102,23 @@ NAME_RULE = "1 to 80 of A-Z a-z 0-9 . _ -, the first a letter or digit, the last
 SAFE_NAME = re.compile(rf"(?=.{{1,{MAX_NAME}}}\Z)[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9_-])?")
 # Windows opens a device, not a file, under these names, whatever the extension.
 DEVICE_NAMES = {"CON", "PRN", "AUX", "NUL", *(f"{port}{n}" for port in ("COM", "LPT") for n in range(10))}
-Name = Annotated[str, Field(strict=True), AfterValidator(_check_name)]
+NAME_IN_SCHEMA = {"minLength": 1, "maxLength": MAX_NAME, "pattern": "^[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9_-])?$"}
+Name = Annotated[str, Field(strict=True, json_schema_extra=NAME_IN_SCHEMA), AfterValidator(_check_name)]
+
+# Results lie in folders condition=<id>. Where all ids of a study look like that, pyarrow and pandas take whole numbers
+# (0x1f is one) for numbers, and DuckDB dates, 0b1, inf and epoch too: tried with pyarrow 26.0, pandas 3.1, DuckDB 2.0.
+NOT_TEXT = re.compile(r"[0-9]+|0[xX][0-9a-fA-F]+|0[bB][01]+|[0-9]+-[0-9]+-[0-9]+|(?i:inf|infinity|epoch)")
+
+
+def check_id(name: str, *at: Path) -> None:
+    """Refuse the id of a condition that readers of the results would not take for text."""
+    if NOT_TEXT.fullmatch(name):
+        raise refusal(
+            f"{shown(name)} cannot be the id of a condition, which programs that read the results would take for a "
+            f"number or a date; write a word before it, such as run-{name}",
+            *at,
+        )
+
 
 SEED_RULE = "a whole number from 0, a list such as [0, 3, 7], or a range such as 0..99 (both ends included)"
 
@@ -105,11 +129,10 @@ def _seeds(value: Any) -> tuple[int, ...]:
     count = sum(last - first + 1 for first, last in spans)
     if not 1 <= count <= MAX_RUNS:
         raise refusal(f"gives {count:,} seeds; allowed: 1 to {MAX_RUNS:,}")
-    seeds = tuple(seed for first, last in spans for seed in range(first, last + 1))
-    double = first_double(seeds)
-    if double is not None:
-        raise refusal(f"seed {seeds[double]} is listed twice; list each seed once")
-    return seeds
+    for (_, last), (first, _) in pairwise(sorted(spans)):
+        if first <= last:
+            raise refusal(f"seed {first} is listed twice; list each seed once")
+    return tuple(seed for first, last in spans for seed in range(first, last + 1))
 
 
 def _seed_items(value: Any) -> list[Any]:
@@ -120,9 +143,9 @@ def _seed_items(value: Any) -> list[Any]:
 
 def _seed_span(item: Any) -> tuple[int, int]:
     """First and last seed of one item: a number or ``first..last``."""
-    match = re.fullmatch(r"([0-9]{1,19})(?:\.\.([0-9]{1,19}))?", item, re.ASCII) if isinstance(item, str) else None
-    if match:
-        first, last = int(match[1]), int(match[2] or match[1])
+    if isinstance(item, str) and re.fullmatch(SPAN, item):
+        start, _, end = item.partition("..")
+        first, last = int(start), int(end or start)
     elif isinstance(item, int) and not isinstance(item, bool):
         first = last = item
     else:
@@ -137,14 +160,18 @@ def _seed_span(item: Any) -> tuple[int, int]:
 def _written_seeds(seeds: tuple[int, ...]) -> str | list[int]:
     """The shortest way to write seeds that reads back to the same."""
     first, count = min(seeds), len(seeds)
-    is_range = count > 2 and seeds == tuple(range(first, first + count))
+    is_range = count > 2 and all(map(eq, seeds, range(first, first + count)))
     return f"{first}..{first + count - 1}" if is_range else list(seeds)
 
 
-SeedItem = int | str
+SPAN = r"[0-9]{1,19}(\.\.[0-9]{1,19})?"
+Number = Annotated[int, Field(ge=0, le=MAX_SEED)]
+SeedItem = Number | Annotated[str, Field(pattern=f"^{SPAN}$")]
+SeedText = Annotated[str, Field(pattern=f"^ *{SPAN} *(, *{SPAN} *)*$")]
+SeedList = Annotated[list[SeedItem], Field(min_length=1)]
 Seeds = Annotated[
     tuple[int, ...],
-    BeforeValidator(_seeds, json_schema_input_type=SeedItem | list[SeedItem]),
+    BeforeValidator(_seeds, json_schema_input_type=Number | SeedText | SeedList),
     PlainSerializer(_written_seeds, return_type=str | list[int]),
 ]
 

@@ -6,12 +6,15 @@ import hashlib
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
 
+from wobblesim.config.beside import Beside
 from wobblesim.config.errors import ConfigError, Place, Problem, dotted, problems
 from wobblesim.config.fields import MAX_NAME, Path
 from wobblesim.config.lookup import models_in
@@ -19,7 +22,7 @@ from wobblesim.config.overrides import merge, put, split_key
 from wobblesim.config.schema import CustomRobot, Parameters, Section, StarfishRobot, SweepConfig
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Condition:
     """One condition of a study; with a seed it is a run.
 
@@ -36,34 +39,57 @@ class Condition:
     parameters: Parameters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Change:
-    """A value put at a path of the parameters, and the path in the file where it was written."""
+    """A value put at a path of the parameters, the path in the file where it was written, and its part of an id.
 
-    path: Path
+    Without a path it is a mapping of changes to several sections, under the name of a condition.
+    """
+
+    path: tuple[str, ...]
     value: Any
     written: Path
+    word: str = ""
+
+    def apply(self, section: Any, name: str) -> Any:
+        """Return a section, as plain data, with this change."""
+        return put(section, self.path[1:], self.value) if self.path else merge(section, self.value[name])
 
 
-@dataclass(frozen=True)
-class _Draft:
+@dataclass(frozen=True, slots=True)
+class Draft:
     """A condition before it is checked; ``home`` is the path in the file that brings it about."""
 
-    id: str
     changes: tuple[_Change, ...]
     home: Path
+    name: str | None = None
+
+    @property
+    def id(self) -> str:
+        """The id that the condition has or will have."""
+        return self.name or _product_id([change.word for change in self.changes])
+
+
+MAX_FAULTS = 20
+"""Places at fault in a grid, after which no more are looked for."""
+
+_expanded: Beside[tuple[Condition, ...]] = Beside()
 
 
 def expand(config: SweepConfig) -> tuple[Condition, ...]:
     """Return the conditions of a study: the product of ``sweep`` in the order written, then the named ones.
 
-    The ids do not change when values are added to a list or conditions to the study.
+    The ids do not change when values are added to a list or conditions to the study. A configuration is laid out once;
+    after that the same tuple is returned. Conditions share the objects of the sections that none of them changes.
 
     Raises
     ------
     ConfigError
         If a condition is invalid; a configuration from ``load_config`` has none.
     """
+    conditions = _expanded.of(config)
+    if conditions is not None:
+        return conditions
     conditions, faults = expand_and_check(config)
     if faults:
         raise ConfigError(faults[0].message, Place(None), dotted(faults[0].paths[0]))
@@ -71,51 +97,117 @@ def expand(config: SweepConfig) -> tuple[Condition, ...]:
 
 
 def expand_and_check(config: SweepConfig) -> tuple[tuple[Condition, ...], list[Problem]]:
-    """Return the valid conditions, and the faults of the others with their paths in the file."""
-    base = config.parameters.model_dump()
-    conditions: list[Condition] = []
+    """Return the valid conditions, and the faults of the others, at most `MAX_FAULTS`, with their paths in the file."""
+    grid = _Grid(config.parameters)
     faults: dict[Path, Problem] = {}
-    ids: set[str] = set()
-    parameters: dict[Parameters, str] = {}
-    for draft in _drafts(config):
-        found = _resolve(draft, base)
-        if isinstance(found, Parameters):
-            conditions.append(Condition(draft.id, found))
-            found = _twins(draft, found, ids, parameters)
-        for fault in found:
+    for draft in drafts(config):
+        for fault in grid.add(draft):
             faults.setdefault(fault.paths[0], fault)
-    return tuple(conditions), list(faults.values())
+        if len(faults) >= MAX_FAULTS:
+            break
+    conditions = tuple(grid.conditions)
+    if not faults:
+        _expanded.keep(config, conditions)
+    return conditions, list(faults.values())
 
 
-def _twins(draft: _Draft, found: Parameters, ids: set[str], parameters: dict[Parameters, str]) -> list[Problem]:
-    """Refuse a condition whose id or parameters came before; some file systems ignore the case of names."""
-    twin = parameters.setdefault(found, draft.id)
-    folded = draft.id.lower()
-    if folded in ids:
-        return [Problem((draft.home,), f"the condition {draft.id} exists twice; rename one")]
-    ids.add(folded)
-    if twin != draft.id:
-        return [Problem((draft.home,), f"the condition {draft.id} is the same as {twin}; change or remove one")]
-    return []
+class _Part(NamedTuple):
+    """A section of a condition and its number; equal sections have one number."""
+
+    section: Any
+    number: int
 
 
-def _drafts(config: SweepConfig) -> Iterator[_Draft]:
-    if not config.sweep and not config.conditions:
-        yield _Draft(config.name, (), ("name",))
-    if config.sweep:
-        labels = _labels(config.sweep)
-        for values in itertools.product(*(enumerate(items) for items in config.sweep.values())):
-            changes = tuple(
-                _Change(split_key(key), value, ("sweep", key, i))
-                for key, (i, value) in zip(config.sweep, values, strict=True)
-            )
-            yield _Draft(_product_id(labels, [value for _, value in values]), changes, ("sweep",))
-    for name, overrides in config.conditions.items():
-        home = ("conditions", name)
-        yield _Draft(name, (_Change((), overrides, home),), home)
+_Work = tuple[str, tuple[_Change, ...]]
+"""The name of a section, and the changes made to it."""
 
 
-def _resolve(draft: _Draft, base: dict[str, Any]) -> Parameters | list[Problem]:
+class _Grid:
+    """The conditions found so far.
+
+    Only the sections that a draft changes are checked; the others are the base's. A section that several drafts of a
+    product change alike is made once. This is what keeps ten thousand conditions of a robot of thousands of nodes
+    affordable, in time and in memory.
+    """
+
+    def __init__(self, base: Parameters):
+        self.conditions: list[Condition] = []
+        self.base, self.plain = base, base.model_dump()
+        self.numbers: dict[Any, int] = {}
+        self.base_numbers = {name: self._part(section).number for name, section in base}
+        self.made: dict[_Work, _Part | None] = {}
+        self.told: set[tuple[_Work, ...]] = set()
+        self.ids: set[str] = set()
+        self.known: dict[tuple[int, ...], str] = {}
+
+    def add(self, draft: Draft) -> list[Problem]:
+        """Add the condition of a draft, if it is valid, and return what is wrong with it and was not told before."""
+        parts, faulty = self._parts(draft)
+        if faulty in self.told:
+            return []
+        if faulty:
+            self.told.add(faulty)
+            return _faults(draft, self.plain)
+        try:
+            parameters = self.base.changed({name: part.section for name, part in parts.items()})
+        except PydanticCustomError:
+            return _faults(draft, self.plain)
+        condition = Condition(draft.id, parameters)
+        self.conditions.append(condition)
+        numbers = self.base_numbers | {name: part.number for name, part in parts.items()}
+        return self._twins(condition.id, tuple(numbers.values()), draft.home)
+
+    def _parts(self, draft: Draft) -> tuple[dict[str, _Part], tuple[_Work, ...]]:
+        """Make the sections that a draft changes; return those, and what came to nothing."""
+        made = {work: self._made(*work) for work in _by_section(draft.changes).items()}
+        return {name: part for (name, _), part in made.items() if part}, tuple(
+            w for w, part in made.items() if not part
+        )
+
+    def _made(self, name: str, changes: tuple[_Change, ...]) -> _Part | None:
+        if (name, changes) not in self.made:
+            try:
+                value = self.plain[name]
+                for change in changes:
+                    value = change.apply(value, name)
+                part = self._part(_adapter(name).validate_python(value))
+            except (LookupError, ValidationError):
+                part = None
+            self.made[name, changes] = part
+        return self.made[name, changes]
+
+    def _part(self, section: Any) -> _Part:
+        return _Part(section, self.numbers.setdefault(section, len(self.numbers)))
+
+    def _twins(self, condition: str, numbers: tuple[int, ...], home: Path) -> list[Problem]:
+        """Refuse a condition whose id or parameters came before; some file systems ignore the case of names."""
+        twin = self.known.setdefault(numbers, condition)
+        folded = condition.lower()
+        if folded in self.ids:
+            return [Problem((home,), f"the condition {condition} exists twice; rename one")]
+        self.ids.add(folded)
+        if twin != condition:
+            return [Problem((home,), f"the condition {condition} is the same as {twin}; change or remove one")]
+        return []
+
+
+def _by_section(changes: tuple[_Change, ...]) -> dict[str, tuple[_Change, ...]]:
+    """Return the changes made to each section; those of a named condition are one change to several."""
+    sections: dict[str, tuple[_Change, ...]] = {}
+    for change in changes:
+        for name in change.path[:1] or change.value:
+            sections[name] = (*sections.get(name, ()), change)
+    return sections
+
+
+@lru_cache
+def _adapter(name: str) -> TypeAdapter[Any]:
+    field = Parameters.model_fields[name]
+    return TypeAdapter(Annotated[field.annotation, field])  # pyright: ignore[reportInvalidTypeForm, reportArgumentType]
+
+
+def _faults(draft: Draft, base: dict[str, Any]) -> list[Problem]:
+    """Check the parameters of a draft as a whole: only so do the errors know the places of what is at fault."""
     data: Any = base
     for change in draft.changes:
         if not change.path:
@@ -126,12 +218,33 @@ def _resolve(draft: _Draft, base: dict[str, Any]) -> Parameters | list[Problem]:
         except LookupError as error:
             return [Problem((change.written[:2],), str(error))]
     try:
-        return Parameters.model_validate(data)
+        Parameters.model_validate(data)
     except ValidationError as error:
         return [_as_written(problem, draft) for problem in problems(error, data, Parameters)]
+    raise AssertionError(f"condition {draft.id}: its parts are at fault, and the whole is not")
 
 
-def _as_written(problem: Problem, draft: _Draft) -> Problem:
+def drafts(config: SweepConfig) -> Iterator[Draft]:
+    """Yield what the conditions of a study are made of."""
+    if not config.sweep and not config.conditions:
+        yield Draft((), ("name",), config.name)
+    if config.sweep:
+        labels = _labels(config.sweep)
+        changes = [
+            [
+                _Change(split_key(key), value, ("sweep", key, i), _short(f"{label}-{_word(value)}"))
+                for i, value in enumerate(values)
+            ]
+            for label, (key, values) in zip(labels, config.sweep.items(), strict=True)
+        ]
+        for chosen in itertools.product(*changes):
+            yield Draft(chosen, ("sweep",))
+    for name, overrides in config.conditions.items():
+        home = ("conditions", name)
+        yield Draft((_Change((), overrides, home),), home, name)
+
+
+def _as_written(problem: Problem, draft: Draft) -> Problem:
     """Point a fault of a condition at the place in the file that brought it about."""
     found = [written for path in problem.paths for written in [_written(path, draft, problem.about_key)] if written]
     closeness, path = max(found, key=lambda pair: pair[0], default=(0, problem.paths[0]))
@@ -141,7 +254,7 @@ def _as_written(problem: Problem, draft: _Draft) -> Problem:
     return Problem((path,), f"{what}{problem.message} (in condition {draft.id})")
 
 
-def _written(path: Path, draft: _Draft, about_key: bool) -> tuple[int, Path] | None:
+def _written(path: Path, draft: Draft, about_key: bool) -> tuple[int, Path] | None:
     """Return how closely a change covers a path (2: exactly, 1: something around it), and where it was written."""
     for change in draft.changes:
         if not change.path:
@@ -155,6 +268,25 @@ def _written(path: Path, draft: _Draft, about_key: bool) -> tuple[int, Path] | N
             return 1, change.written[:2]
     beside = (change.written[:2] for change in draft.changes if change.path[:1] == path[:1])
     return next(((0, written) for written in beside), None)
+
+
+def fault_of(
+    config: SweepConfig, condition: str, message: str, keys: Sequence[str], document: Container[Path]
+) -> Problem:
+    """Return the fault of a condition that was found after all its settings had been checked.
+
+    It is placed at the first of the dotted ``keys`` that the condition itself gives or that was written in the document
+    for all conditions.
+    """
+    draft = next((draft for draft in drafts(config) if draft.id == condition), Draft((), ("name",), condition))
+    paths: list[Path] = [tuple(int(part) if part.isdecimal() else part for part in split_key(key)) for key in keys]
+    where = f" (in condition {condition})" if draft.changes else ""
+    for path in paths:
+        if (_written(path, draft, about_key=False) or (0,))[0] == 2:
+            return _as_written(Problem((path,), message), draft)
+        if path in document:
+            return Problem((path,), f"{message}{where}")
+    return Problem((paths[0],), f"{message}{where}")
 
 
 def _covered(path: Path, value: Any) -> int:
@@ -176,12 +308,17 @@ def _labels(keys: Any) -> list[str]:
     return [split_key(key)[-1] if last[split_key(key)[-1]] == 1 else ".".join(split_key(key)) for key in keys]
 
 
-def _product_id(labels: list[str], values: list[Any]) -> str:
-    parts = [f"{label}-{_word(value)}" for label, value in zip(labels, values, strict=True)]
-    written = re.sub(r"[^A-Za-z0-9._-]", "-", "_".join(parts))
+def _short(word: str) -> str:
+    """Replace the end of a very long word by a digest: thousands of ids may hold the list of all nodes of a robot."""
+    return word if len(word) <= 2 * MAX_NAME else f"{word[:MAX_NAME]}-{hashlib.sha256(word.encode()).hexdigest()[:10]}"
+
+
+def _product_id(words: list[str]) -> str:
+    joined = "_".join(words)
+    written = re.sub(r"[^A-Za-z0-9._-]", "-", joined)
     if len(written) <= MAX_NAME:
         return written
-    digest = hashlib.sha256("_".join(parts).encode()).hexdigest()[:10]
+    digest = hashlib.sha256(joined.encode()).hexdigest()[:10]
     return f"{written[: MAX_NAME - len(digest) - 1]}-{digest}"
 
 
@@ -208,7 +345,7 @@ def columns(parameters: Parameters) -> dict[str, str | int | float | None]:
     joined by ``+``, gravity is split into ``scene.gravity.x`` and ``.y``, and a custom robot is told by the number of
     its nodes, springs and muscles and by a digest of them all.
     """
-    flat = _flat(parameters, (StarfishRobot,), "")
+    flat = {key: _value(parameters, path) for key, path in _leaves()}
     gravity = flat.pop("scene.gravity")
     flat["scene.gravity.x"], flat["scene.gravity.y"] = gravity if isinstance(gravity, tuple) else (0.0, -gravity)
     if flat["wobble.dimension"] is not None:
@@ -216,21 +353,26 @@ def columns(parameters: Parameters) -> dict[str, str | int | float | None]:
     return flat | _custom_columns(parameters.robot)
 
 
-def _flat(section: Section | None, kinds: tuple[type[Section], ...], prefix: str) -> dict[str, Any]:
-    """Flatten a section, or name the columns of the sections that could be there."""
-    flat: dict[str, Any] = {}
-    for model in kinds if section is None else (Parameters,) if isinstance(section, Parameters) else kinds:
-        for key, field in model.model_fields.items():
-            inner = models_in(field.annotation)
-            value = getattr(section, key, None)
-            if inner:
-                kinds_here = tuple(kind for kind in inner if kind is not CustomRobot)
-                flat |= _flat(value, kinds_here, f"{prefix}{key}.")
-            else:
-                flat[f"{prefix}{key}"] = value
-    return flat
+def _value(section: Any, path: tuple[str, ...]) -> Any:
+    for key in path:
+        section = None if section is None else vars(section).get(key)
+    return section
 
 
+@lru_cache
+def _leaves() -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Dotted key and path of every value; of the robots, those of the starfish."""
+    return tuple((".".join(path), path) for path in _paths(Parameters))
+
+
+def _paths(model: type[Section]) -> Iterator[tuple[str, ...]]:
+    for key, field in model.model_fields.items():
+        inner = [kind for kind in models_in(field.annotation) if kind is not CustomRobot]
+        for path in _paths(inner[0]) if inner else [()]:
+            yield key, *path
+
+
+@lru_cache(maxsize=64)
 def _custom_columns(robot: StarfishRobot | CustomRobot) -> dict[str, str | int | None]:
     if isinstance(robot, StarfishRobot):
         return dict.fromkeys(("robot.nodes", "robot.springs", "robot.muscles", "robot.digest"))

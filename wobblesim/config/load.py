@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
 import yaml
 from pydantic import ValidationError
 
+from wobblesim.config.beside import Beside
 from wobblesim.config.errors import ConfigError, Place, Problem, dotted, problems
-from wobblesim.config.grid import expand, expand_and_check
-from wobblesim.config.lookup import field_at, leaf_paths, models_in
+from wobblesim.config.fields import Path
+from wobblesim.config.grid import MAX_FAULTS, expand, expand_and_check, fault_of
 from wobblesim.config.overrides import apply_seeds, apply_settings
-from wobblesim.config.reading import Document, plain_value, read_document, read_source
+from wobblesim.config.reading import Document, plain_value, read_document, read_text
 from wobblesim.config.schema import SweepConfig
 
-MAX_ERRORS = 20
+_documents: Beside[Callable[[], Document]] = Beside()
+"""How the document that a configuration was made of can be read once more, to find a place in it."""
 
 
 def load_config(path: str | FilePath, overrides: Sequence[str] = (), seeds: str | None = None) -> SweepConfig:
@@ -36,20 +39,29 @@ def load_config(path: str | FilePath, overrides: Sequence[str] = (), seeds: str 
     ConfigError
         With file, line, column and key of the first fault, and all others in ``others``.
     """
-    return _checked(read_source(path), overrides, seeds)
+    text, source = read_text(path)
+    return parse_config(text, overrides, seeds, source=source)
 
 
 def parse_config(
     text: str, overrides: Sequence[str] = (), seeds: str | None = None, *, source: str = "<text>"
 ) -> SweepConfig:
     """Do as `load_config` with YAML text, which errors call by the name ``source``."""
-    return _checked(read_document(text, source), overrides, seeds)
+    read = partial(_document, text, source, tuple(overrides), seeds)
+    config = _checked(read())
+    _documents.keep(config, read)
+    return config
 
 
-def _checked(document: Document, overrides: Sequence[str], seeds: str | None) -> SweepConfig:
+def _document(text: str, source: str, overrides: Sequence[str], seeds: str | None) -> Document:
+    document = read_document(text, source)
     apply_settings(document, overrides)
     if seeds is not None:
         apply_seeds(document, seeds)
+    return document
+
+
+def _checked(document: Document) -> SweepConfig:
     try:
         config = SweepConfig.model_validate(document.data)
     except ValidationError as error:
@@ -61,7 +73,7 @@ def _checked(document: Document, overrides: Sequence[str], seeds: str | None) ->
 
 
 def _config_error(found: Sequence[Problem], document: Document) -> ConfigError:
-    first, *others = (_placed(problem, document) for problem in found[:MAX_ERRORS])
+    first, *others = (_placed(problem, document) for problem in found[:MAX_FAULTS])
     place = Place(first.path, first.line, first.column)
     return ConfigError(first.message, place, first.key, others)
 
@@ -71,35 +83,49 @@ def _placed(problem: Problem, document: Document) -> ConfigError:
     return ConfigError(problem.message, document.place(path, about_key=problem.about_key), dotted(path))
 
 
-def _path(problem: Problem, document: Document) -> tuple[str | int, ...]:
+def _path(problem: Problem, document: Document) -> Path:
     """Of the values at fault, take the first that was written down; a default cannot be at fault alone."""
     return next((path for path in problem.paths if path in document.values), problem.paths[0])
 
 
+def condition_error(config: SweepConfig, condition: str, message: str, *keys: str) -> ConfigError:
+    """Build the error of a condition that only its simulator can refuse, with the place where it was written.
+
+    Parameters
+    ----------
+    config
+        As `load_config` or `parse_config` returned it; of one made in Python only the key is told.
+    condition
+        Its id.
+    message
+        What is wrong and what to do, in one sentence.
+    *keys
+        Dotted keys that may be at fault, the likeliest first; the first that was written down is named.
+    """
+    read = _documents.of(config)
+    document = read() if read else Document("")
+    return _placed(fault_of(config, condition, message, keys, document.values), document)
+
+
 def remarks(config: SweepConfig) -> tuple[str, ...]:
-    """Say what is allowed but perhaps not meant, one sentence for each condition concerned."""
-    found = []
+    """Say what is allowed but perhaps not meant, one sentence for all conditions that it is true of."""
+    found: dict[str, list[str]] = {}
     for condition in expand(config):
         wobble, epochs = condition.parameters.wobble, condition.parameters.learning.epochs
         if wobble is not None and wobble.end > epochs:
-            found.append(
-                f"{condition.id}: wobble.end ({wobble.end}) is after the last epoch ({epochs}), so that runs end while "
-                "the robot wobbles and their performance is not the adult's"
+            remark = (
+                f"wobble.end ({wobble.end}) is after the last epoch ({epochs}), so that runs end while the robot "
+                "wobbles and their performance is not the adult's"
             )
-    return tuple(found)
+            found.setdefault(remark, []).append(condition.id)
+    return tuple(f"{_some(conditions)}: {remark}" for remark, conditions in found.items())
 
 
-def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a configuration file, for editors."""
-    schema = SweepConfig.model_json_schema()
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["title"] = "wobblesim configuration"
-    schema["properties"]["sweep"]["properties"] = {
-        ".".join(path): {"type": "array", "minItems": 1, "description": field.description}
-        for path in leaf_paths()
-        if (field := field_at(path)) and not models_in(field.annotation)
-    }
-    return dict(sorted(schema.items(), key=lambda item: item[0] == "$defs"))
+def _some(conditions: Sequence[str]) -> str:
+    first, *others = conditions
+    if not others:
+        return first
+    return f"{first} and {f'{len(others):,} others' if others[1:] else others[0]}"
 
 
 class _Dumper(yaml.SafeDumper):

@@ -8,7 +8,7 @@ from typing import Any
 
 from wobblesim.config.errors import ConfigError, Place, dotted
 from wobblesim.config.fields import Path, shown
-from wobblesim.config.reading import Document, read_value
+from wobblesim.config.reading import MAX_KEY, Document, read_value
 
 
 def split_key(key: str) -> tuple[str, ...]:
@@ -91,6 +91,8 @@ def _apply(document: Document, setting: str) -> Path:
     key, equals, text = setting.partition("=")
     if not equals or not all(split_key(key.strip())):
         raise ConfigError("is not a setting; write key=value, such as physics.dt=0.005", Place(source))
+    if len(key) > MAX_KEY:
+        raise ConfigError(f"a key of {len(key):,} characters is no key of a configuration", Place(source))
     path = _setting_path(document.data, key.strip())
     if not text.strip():
         raise ConfigError("has no value; write key=value, or key=null for none", Place(source), key)

@@ -2,7 +2,8 @@
 
 Only what a configuration needs is understood: mappings, lists, text, numbers, true, false and null. Whatever YAML
 readers disagree about is refused with the spelling to use instead (``no``, ``010``, ``12:30:45``, ``1_000``), and so
-are duplicate keys, tags, anchors, aliases and merge keys, which also disarms documents that grow when expanded.
+are duplicate keys, tags and merge keys. An alias (``*a``) is a copy of the value that has its anchor (``&a``), and all
+aliases of a file together stand for a limited number of values, which disarms documents that grow when expanded.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ MAX_BYTES = 1_000_000
 MAX_DEPTH = 12
 MAX_DIGITS = 19
 MAX_VALUES = 200_000
+MAX_COPIED = 10_000
+MAX_KEY = 200
 
 # libyaml's scanner where PyYAML was built with it; the pure Python one reads the same, but slower.
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -44,6 +47,10 @@ AMBIGUOUS = (
     ),
     (re.compile(r"[-+]?[0-9.]*[0-9]_[0-9_.]*(?:[eE][-+]?[0-9]+)?"), "has an underscore; write the digits together"),
 )
+
+
+OPEN = object()
+"""Stands for the value of an anchor while it is being read."""
 
 
 @dataclass
@@ -82,17 +89,17 @@ class Document:
                 del places[old]
 
 
-def read_source(path: str | FilePath) -> Document:
-    """Read a YAML file, or standard input for ``-``.
+def read_text(path: str | FilePath) -> tuple[str, str]:
+    """Return the text of a file, or of standard input for ``-``, and the name by which errors call it.
 
     Raises
     ------
     ConfigError
-        For anything but one UTF-8 YAML mapping of at most 1 MB in a regular file.
+        For anything but UTF-8 text of at most 1 MB in a regular file.
     """
     source = "<stdin>" if str(path) == "-" else str(path)
     raw = sys.stdin.buffer.read(MAX_BYTES + 1) if str(path) == "-" else _file_bytes(source)
-    return read_document(_decoded(raw, source), source)
+    return _decoded(raw, source), source
 
 
 def _file_bytes(path: str) -> bytes:
@@ -161,6 +168,8 @@ class _Reader:
         self.document, self.path, self.lines = document, path, lines
         self.text = text
         self.events: Iterator[Any] = iter(())
+        self.anchored: dict[str, Any] = {}
+        self.copied = 0
 
     def read(self) -> None:
         try:
@@ -185,21 +194,58 @@ class _Reader:
             self.document.data = self._node(next(self.events), self.path, 0)
 
     def _node(self, event: Any, path: Path, depth: int) -> Any:
+        self._enter(event, path, depth)
+        if isinstance(event, yaml.AliasEvent):
+            return self._alias(event, path, depth)
+        if event.tag is not None:
+            tag = shown(event.tag.replace("tag:yaml.org,2002:", "!!"))
+            raise self._error(f"the tag {tag} is not supported; write a plain value", event, path)
+        if event.anchor in self.anchored:  # the later one to some readers, an error to others
+            raise self._error(f"the anchor {shown(f'&{event.anchor}')} is given twice; rename one", event, path)
+        if event.anchor:
+            self.anchored[event.anchor] = OPEN
+        value = self._value(event, path, depth)
+        if event.anchor:
+            self.anchored[event.anchor] = value
+        return value
+
+    def _enter(self, event: Any, path: Path, depth: int) -> None:
+        """Note the place of a value, and refuse one too many or too deep."""
         self.document.values[path] = self._place(event)
         if len(self.document.values) > MAX_VALUES:
             raise self._error(f"has more than {MAX_VALUES:,} values, too many for a configuration", event)
         if depth > MAX_DEPTH:
             raise self._error(f"is nested deeper than {MAX_DEPTH} levels, more than a configuration needs", event)
-        if isinstance(event, yaml.AliasEvent) or event.anchor:
-            raise self._error("anchors (&) and aliases (*) are not supported; write the value out", event, path)
-        if event.tag is not None:
-            tag = shown(event.tag.replace("tag:yaml.org,2002:", "!!"))
-            raise self._error(f"the tag {tag} is not supported; write a plain value", event, path)
+
+    def _value(self, event: Any, path: Path, depth: int) -> Any:
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(path, depth)
         if isinstance(event, yaml.SequenceStartEvent):
             return self._sequence(path, depth)
         return self._scalar(event, path)
+
+    def _alias(self, event: Any, path: Path, depth: int) -> Any:
+        alias, anchor = shown(f"*{event.anchor}"), shown(f"&{event.anchor}")
+        if event.anchor not in self.anchored:
+            raise self._error(f"the alias {alias} has no anchor {anchor} before it; write the value out", event, path)
+        if self.anchored[event.anchor] is OPEN:
+            raise self._error(f"the alias {alias} stands inside its anchor {anchor}; write the value out", event, path)
+        return self._copy(self.anchored[event.anchor], event, path, depth)
+
+    def _copy(self, value: Any, event: Any, path: Path, depth: int) -> Any:
+        """Copy a value to where an alias stands, which is the place of all that is in it."""
+        self.copied += 1
+        if self.copied > MAX_COPIED:
+            raise self._error(
+                f"the aliases (*) stand for more than {MAX_COPIED:,} values, too many for a configuration", event, path
+            )
+        self._enter(event, path, depth)
+        if isinstance(value, list):
+            return [self._copy(item, event, (*path, i), depth + 1) for i, item in enumerate(value)]
+        if not isinstance(value, dict):
+            return value
+        self.document.keys.update(dict.fromkeys(((*path, key) for key in value), self._place(event)))
+        return {key: self._copy(item, event, (*path, key), depth + 1) for key, item in value.items()}
 
     def _mapping(self, path: Path, depth: int) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
@@ -219,9 +265,13 @@ class _Reader:
         if not isinstance(event, yaml.ScalarEvent):
             raise self._error("a key must be a word", event, path)
         if event.anchor or event.tag is not None:
-            raise self._error("anchors (&) and tags (!) are not supported; write a plain key", event, path)
+            raise self._error("a key has no anchor (&) and no tag (!); write a plain key", event, path)
         if event.implicit[0] and event.value == "<<":
-            raise self._error("merge keys (<<) are not supported; write the keys out", event, path)
+            raise self._error(
+                "merge keys (<<) are not supported; write under conditions only what differs from the base", event, path
+            )
+        if len(event.value) > MAX_KEY:
+            raise self._error(f"a key of {len(event.value):,} characters is no key of a configuration", event, path)
         if event.value == "":
             raise self._error("a key is missing before the colon", event, path)
         return event.value

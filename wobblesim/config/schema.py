@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from wobblesim.config.beside import Beside
 from wobblesim.config.fields import (
     MAX_RUNS,
     NAME_RULE,
@@ -34,6 +35,7 @@ from wobblesim.config.fields import (
     Values,
     Vector,
     Whole,
+    check_id,
     first_double,
     number,
     refusal,
@@ -42,7 +44,11 @@ from wobblesim.config.fields import (
 )
 
 MAX_CONDITIONS = 10_000
+MAX_SWEPT_KEYS = 100
+MAX_EPOCHS = 1_000_000
 MAX_STEPS = 100_000_000
+MIN_LENGTH = 1e-6
+"""u; the square of a much smaller one is no number that can be divided by."""
 
 Dimension = Literal["mass", "stiffness", "size", "gravity"]
 
@@ -70,9 +76,9 @@ class StarfishRobot(Section, frozen=True):
     kind: Literal["starfish"] = Field(description="The paper's robot, built from the numbers below.")
     arms: Whole = number(6, "Number of arms, and of centre nodes", ge=3, le=64)
     sections: Whole = number(8, "Sections of an arm, the tip not counted", ge=1, le=200)
-    height: Real = number(40.0, "Height of a section and of a tip", "u", gt=0, le=1e4)
-    width: Real = number(30.0, "Width of a section", "u", gt=0, le=1e4)
-    center_side: Real = number(30.0, "Side of the central polygon", "u", gt=0, le=1e4)
+    height: Real = number(40.0, "Height of a section and of a tip", "u", ge=MIN_LENGTH, le=1e4)
+    width: Real = number(30.0, "Width of a section", "u", ge=MIN_LENGTH, le=1e4)
+    center_side: Real = number(30.0, "Side of the central polygon", "u", ge=MIN_LENGTH, le=1e4)
     groups_per_arm: Whole = number(2, "Motor groups of an arm; no more than its sections", ge=1, le=200)
     node_mass: Real = number(1.0, "Mass of every node", "mass unit", gt=0, le=1e6)
     friction: Real = number(0.5, "Coulomb friction coefficient of every node", ge=0, le=100)
@@ -81,8 +87,11 @@ class StarfishRobot(Section, frozen=True):
 
     @property
     def least_height(self) -> float:
-        """Height in u below which a first section, whose sides are ``height`` long, cannot be built."""
-        return abs(self.center_side - self.width) / 2
+        """Height in u below which a first section, whose sides are ``height`` long, cannot be built.
+
+        Its rise is taken to be a millionth of its width at least, for in a flatter one rounding decides.
+        """
+        return math.hypot((self.center_side - self.width) / 2, 1e-6 * max(self.center_side, self.width))
 
     @model_validator(mode="after")
     def _buildable(self) -> StarfishRobot:
@@ -120,7 +129,7 @@ class Spring(Section, frozen=True):
     between: tuple[Whole, Whole] = text(..., "The two nodes joined", "two node numbers [a, b], the first node is 0")
     stiffness: Real = number(..., "Spring constant", "mass unit/s²", gt=0, le=1e9)
     damping_ratio: Real = number(1.0, "Damping ratio (1 is critical)", ge=0, le=100)
-    rest_length: Real | None = number(None, "Rest length, null: the length as built", "u", gt=0, le=1e6)
+    rest_length: Real | None = number(None, "Rest length, null: the length as built", "u", ge=MIN_LENGTH, le=1e6)
 
 
 class Muscle(Section, frozen=True):
@@ -151,8 +160,21 @@ class CustomRobot(Section, frozen=True):
         None, "Nodes whose mean x is the robot's place, null: all nodes", "null or a list of node numbers", min_length=1
     )
     body_length: Real | None = number(
-        None, "Unit of the performance, null: the extent of the nodes along x", "u", gt=0, le=1e6
+        None, "Unit of the performance, null: the extent of the nodes along x", "u", ge=MIN_LENGTH, le=1e6
     )
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Largest size of a muscle's sign, and height in u of the lowest node that is free to move.
+
+        Found once: thousands of conditions may have the same robot.
+        """
+        known = _bounds.of(self)
+        if known is None:
+            signs = (abs(muscle.sign) for muscle in self.muscles)
+            known = max(signs), min((node.position[1] for node in self.nodes if not node.fixed), default=math.inf)
+            _bounds.keep(self, known)
+        return known
 
     @model_validator(mode="after")
     def _connected(self) -> CustomRobot:
@@ -172,7 +194,7 @@ class CustomRobot(Section, frozen=True):
             _check_index(node, len(self.nodes), "node", ("springs", i, "between", end))
         if a == b:
             raise refusal(f"joins node {a} to itself; give two different nodes", ("springs", i, "between"))
-        if self.nodes[a].position == self.nodes[b].position:
+        if math.dist(self.nodes[a].position, self.nodes[b].position) < MIN_LENGTH:
             raise refusal(
                 f"joins nodes {a} and {b}, which are at the same place, so that it has no direction; move one of them",
                 ("springs", i, "between"),
@@ -194,6 +216,9 @@ class CustomRobot(Section, frozen=True):
                 "number the groups 0, 1, 2, ... without a gap",
                 ("muscles",),
             )
+
+
+_bounds: Beside[tuple[float, float]] = Beside()
 
 
 def _check_index(index: int, count: int, noun: str, at: Path) -> None:
@@ -298,7 +323,7 @@ class TrialSettings(Section, frozen=True):
 class LearningSettings(Section, frozen=True):
     """Trial and error: keep the best behaviours, perturb them, try again."""
 
-    epochs: Whole = number(4000, "Epochs of a run", ge=1, le=1_000_000)
+    epochs: Whole = number(4000, "Epochs of a run", ge=1, le=MAX_EPOCHS)
     population: Whole = number(20, "Behaviours tried in an epoch", ge=2, le=10_000)
     parents: Whole = number(5, "Best behaviours kept; fewer than the population", ge=1, le=9_999)
     rate: Real = number(0.1, "Probability that a number of a behaviour is perturbed (one at least is)", gt=0, le=1)
@@ -329,10 +354,11 @@ def _distinct(value: tuple[str, ...]) -> tuple[str, ...]:
     return value
 
 
+DimensionList = Annotated[list[Dimension], Field(min_length=1, max_length=4, json_schema_extra={"uniqueItems": True})]
 Dimensions = Annotated[
     tuple[Dimension, ...],
     AfterValidator(_distinct),
-    BeforeValidator(_dimensions, json_schema_input_type=Dimension | list[Dimension]),
+    BeforeValidator(_dimensions, json_schema_input_type=Dimension | DimensionList),
     PlainSerializer(lambda value: value[0] if len(value) == 1 else list(value), return_type=str | list[str]),
 ]
 
@@ -350,10 +376,10 @@ class WobbleSettings(Section, frozen=True):
     amplitude: Real = number(..., "Amplitude of the factor", ge=0, le=1000)
     period: Real = number(..., "Period; the sine is sampled once an epoch", "epochs", gt=2, le=1e6)
     end: Whole = number(
-        2000, "First epoch of the adult; beyond learning.epochs the run ends wobbling", "epochs", ge=1, le=1_000_000
+        2000, "First epoch of the adult; beyond learning.epochs the run ends wobbling", "epochs", ge=1, le=MAX_EPOCHS
     )
     decay_start: Whole | None = number(
-        None, "Epoch from which the amplitude shrinks, null: the last 5 % before end", "epochs", ge=0, le=1_000_000
+        None, "Epoch from which the amplitude shrinks, null: the last 5 % before end", "epochs", ge=0, le=MAX_EPOCHS
     )
     mean: Real = number(1.0, "Mean of the factor while wobbling", gt=0, le=1000)
     upper_bound: Real | None = number(None, "Largest factor, null: no bound", gt=0, le=1000)
@@ -399,13 +425,30 @@ class Parameters(Section, frozen=True):
         default="epochs", description="What is stored besides the runs: epochs, also trials, also behaviours."
     )
 
+    def changed(self, sections: dict[str, Any]) -> Parameters:
+        """Return a copy with other sections, which are taken to be valid; only what concerns several is checked.
+
+        Validation would check every robot and wobble of thousands of conditions once more.
+
+        Raises
+        ------
+        PydanticCustomError
+            If the sections do not go together.
+        """
+        changed = self.model_copy(update=sections)
+        changed._check()
+        return changed
+
     @model_validator(mode="after")
     def _consistent(self) -> Parameters:
+        self._check()
+        return self
+
+    def _check(self) -> None:
         self._check_steps()
         self._check_size()
         if isinstance(self.robot, CustomRobot):
             self._check_custom(self.robot)
-        return self
 
     def _check_steps(self) -> None:
         dt, duration = self.physics.dt, self.trial.duration
@@ -433,6 +476,10 @@ class Parameters(Section, frozen=True):
             )
 
     def _check_custom(self, robot: CustomRobot) -> None:
+        floor = self.scene.floor is not None
+        largest_sign, lowest = robot.bounds
+        if largest_sign * self.trial.max_amplitude < 1 and not (floor and lowest < 0):
+            return
         for i, muscle in enumerate(robot.muscles):
             if abs(muscle.sign) * self.trial.max_amplitude >= 1:
                 raise refusal(
@@ -442,12 +489,31 @@ class Parameters(Section, frozen=True):
                     ("trial", "max_amplitude"),
                 )
         for i, node in enumerate(robot.nodes):
-            if self.scene.floor is not None and node.position[1] < 0 and not node.fixed:
+            if floor and node.position[1] < 0 and not node.fixed:
                 raise refusal(
                     f"node {i} starts below the floor (y = {node.position[1]:g}); raise it to 0 or more, "
                     "or set scene.floor to null",
                     ("robot", "nodes", i, "position"),
                 )
+
+
+def stored_bytes(epochs: int, population: int, log: str) -> int:
+    """About how many bytes a run's files take.
+
+    From 4 runs of the starfish robot (24 numbers a behaviour) with 100 epochs and with 1000: the files begin with
+    21.3 kB (runs), 8.9 kB (epochs), 8.0 kB (trials) and 15.0 kB (behaviours), most of it provenance; then an epoch
+    takes 14 to 24 bytes, a trial 5.8 to 6.8, and its behaviour 36 to 38.
+    """
+    size = 30_000 + 20 * epochs
+    if log != "epochs":
+        size += 8_000 + 7 * epochs * population
+    if log == "behaviours":
+        size += 15_000 + 37 * epochs * population
+    return size
+
+
+def _rounded(amount: float) -> str:
+    return f"{amount:,.0f}" if 10 <= amount < 1e15 else f"{amount:.2g}"
 
 
 class SweepConfig(Parameters, frozen=True):
@@ -467,6 +533,8 @@ class SweepConfig(Parameters, frozen=True):
     @field_validator("sweep")
     @classmethod
     def _sweepable(cls, sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+        if len(sweep) > MAX_SWEPT_KEYS:
+            raise refusal(f"sweeps {len(sweep):,} keys; at most {MAX_SWEPT_KEYS} are allowed")
         for key, values in sweep.items():
             if not values:
                 raise refusal("has no values; give at least one, or remove the key", (key,))
@@ -489,27 +557,46 @@ class SweepConfig(Parameters, frozen=True):
             twin = seen.setdefault(name.lower(), name)
             if twin != name:
                 raise refusal(f"differs from {twin} only in case, which some file systems ignore; rename it", (name,))
+            check_id(name, (name,))
         return conditions
+
+    @model_validator(mode="after")
+    def _named(self) -> SweepConfig:
+        """The name of a study with one condition is the id of that condition."""
+        if not self.sweep and not self.conditions:
+            check_id(self.name, ("name",))
+        return self
 
     @model_validator(mode="after")
     def _affordable(self) -> SweepConfig:
         conditions = self.count_conditions()
         runs = conditions * len(self.seeds)
-        hours = runs * self.learning.epochs * self.learning.population * self.trial.duration / 3600
-        at = ("sweep",) if self.sweep else ("seeds",)
+        at = ("sweep",) if self.sweep else ("conditions",) if self.conditions else ("seeds",)
         if conditions > MAX_CONDITIONS:
             raise refusal(
-                f"the grid has {conditions:,} conditions ({runs:,} runs, {hours:.3g} simulated hours); "
-                f"at most {MAX_CONDITIONS:,} are allowed, so shorten the lists",
+                f"the grid has {conditions:,} conditions ({self.cost()}); at most {MAX_CONDITIONS:,} are allowed, so "
+                "leave some out",
                 at,
             )
         if runs > MAX_RUNS:
             raise refusal(
-                f"{conditions:,} conditions with {len(self.seeds):,} seeds are {runs:,} runs ({hours:.3g} simulated "
-                f"hours); at most {MAX_RUNS:,} are allowed, so use fewer conditions or seeds",
+                f"{conditions:,} conditions with {len(self.seeds):,} seeds are {self.cost()}; at most {MAX_RUNS:,} "
+                "runs are allowed, so use fewer conditions or seeds",
                 at,
             )
         return self
+
+    def cost(self, epochs: int | None = None) -> str:
+        """Say how many runs, simulated hours and bytes of results the study is, or would be with so many epochs.
+
+        Every condition counts as the base does, so that it costs nothing to say of a grid too large to lay out.
+        """
+        runs = self.count_conditions() * len(self.seeds)
+        trials = (epochs or self.learning.epochs) * self.learning.population
+        hours = runs * trials * self.trial.duration / 3600
+        size = runs * stored_bytes(epochs or self.learning.epochs, self.learning.population, self.log)
+        what = f"{runs:,} run{'s' * (runs != 1)}, {_rounded(hours)} simulated hours"
+        return f"{what} and about {_rounded(size / 1e9)} GB of results"
 
     def count_conditions(self) -> int:
         """How many conditions the grid has, without building them."""
@@ -519,4 +606,4 @@ class SweepConfig(Parameters, frozen=True):
     @property
     def parameters(self) -> Parameters:
         """The base parameters, before any condition changes them."""
-        return Parameters(**{name: getattr(self, name) for name in Parameters.model_fields})
+        return Parameters(**{name: value for name, value in self if name in Parameters.model_fields})

@@ -306,9 +306,7 @@ def _laws(report: Report) -> str:
         "trial the laws soon part, for a rebound is another thing in each; a ranking or a mean over many trials they "
         "share as far as the rank and the mean difference say."
     )
-    return "\n".join(
-        ["## The two contact laws", "", lead, "", *markdown(*tables.agreement_table(report.agreements)), ""]
-    )
+    return _tabled("The two contact laws", lead, tables.agreement_table(report.agreements))
 
 
 def _sensitivity(report: Report) -> str:
@@ -318,9 +316,12 @@ def _sensitivity(report: Report) -> str:
         "How far the end of the adult's gait moves at the shipped step when next to nothing is changed, body lengths. "
         "No comparison of single trials can be sharper than that."
     )
-    return "\n".join(
-        ["## How sensitive a gait is", "", lead, "", *markdown(*tables.sensitivity_table(report.sensitivities)), ""]
-    )
+    return _tabled("How sensitive a gait is", lead, tables.sensitivity_table(report.sensitivities))
+
+
+def _tabled(title: str, lead: str, table: tuple[Sequence[str], Sequence[Sequence[str]]]) -> str:
+    """A section of a paragraph and a table."""
+    return "\n".join([f"## {title}", "", lead, "", *markdown(*table), ""])
 
 
 def markdown(columns: Sequence[str], cells: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import resource
 import statistics
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from wobblesim.learning.run import Learner, Setup
-from wobblesim.numerics.explain_terms import Costs, alike, full_block, measure, system_and_method
+from wobblesim.numerics.explain_terms import Costs, alike, measure, system_and_method
 from wobblesim.physics.contract import State, rows
 from wobblesim.physics.lanes import lanes
-from wobblesim.physics.simulate import Trials, block_widths, simulate
-from wobblesim.study.plan import Study, group_size, steps
+from wobblesim.physics.simulate import Trials, block_widths, full_block, simulate
+from wobblesim.study.plan import Kind, Study, group_size, shares, steps
 from wobblesim.study.rows import Log, run_tables
-from wobblesim.study.store import opened
+from wobblesim.study.store import attempt, opened, stage
 
 PROBE = 0.15  # s: length of a timed call of a whole epoch
 SHORT = 20  # steps of the call that tells what a call costs besides its steps
@@ -141,23 +143,25 @@ def explain(
         If a condition cannot be run.
     """
     probes = Probes(study, stored, threads)
-    sizes = {name: _sizes(len(study.seeds) - present.get(name, 0), threads) for name in study.conditions}
+    missing = {name: len(study.seeds) - present.get(name, 0) for name in study.conditions}
+    size = _size(study, missing, threads)
+    sizes = {name: shares(count, size) for name, count in missing.items()}
     work = tuple(_work(study, name, present.get(name, 0), sizes[name], probes) for name in study.conditions)
     disk = [_disk(study, name, sizes[name], probes) for name in study.conditions]
     memory = [_memory(study, name, sizes[name], probes, threads) for name in study.conditions]
     return Explanation(
         scenes=_scenes(study, seconds),
         work=work,
-        memory=Memory(_resident(), *(max(part) for part in zip(*memory, strict=True))),
+        memory=Memory(resident(), *(max(part) for part in zip(*memory, strict=True))),
         disk=Disk(sum(results for results, _ in disk), max(checkpoints for _, checkpoints in disk)),
         threads=threads,
     )
 
 
-def _sizes(missing: int, threads: int) -> list[int]:
-    """Seeds in each of the groups that missing runs are computed in."""
-    size = group_size(threads)
-    return [size] * (missing // size) + [missing % size] * (missing % size > 0)
+def _size(study: Study, missing: Mapping[str, int], threads: int) -> int:
+    """Seeds in a group, at most."""
+    runs = Counter((Kind.of(study.setups[name]), count) for name, count in missing.items() if count)
+    return group_size(runs, 1, threads)
 
 
 def _scenes(study: Study, seconds: float) -> tuple[SceneCosts, ...]:
@@ -223,7 +227,7 @@ def _memory(study: Study, name: str, sizes: list[int], probes: Probes, threads: 
 def trial_bytes(setup: Setup, n_trials: int, threads: int) -> int:
     """Bytes of the arrays of one call of `simulate`: rows of every block, work of those that run, what is read off."""
     system, method = system_and_method(setup)
-    tag, n = lanes(setup.physics.precision, full_block(setup)), system.n_nodes
+    tag, n = lanes(setup.physics.precision, full_block(setup.physics)), system.n_nodes
     widths = block_widths(n_trials, threads, tag.width)
     work = method.workspace(tag, State(*(rows(n, tag) for _ in range(4))))
     item = tag.dtype.itemsize
@@ -237,7 +241,7 @@ def _nbytes(parts: Any) -> int:
     return parts.nbytes if isinstance(parts, np.ndarray) else sum(map(_nbytes, parts))
 
 
-def _resident() -> int:
+def resident() -> int:
     """Bytes of memory that this process has held at most, its libraries and kernels with it."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else 1024 * most
@@ -342,12 +346,14 @@ def _time(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def keep_books(study: Study, condition: str, stored: Mapping[str, Any], seeds: int) -> Books:
+def keep_books(
+    study: Study, condition: str, stored: Mapping[str, Any], seeds: int, patience: float = PATIENCE
+) -> Books:
     """Run the learner on trials that cost nothing, with random scores; store what it has done in a passing folder."""
     setup = replace(study.setups[condition], epochs=min(LOGGED, study.setups[condition].epochs))
     learner = Learner(setup, range(seeds), simulate=_instant(setup))
     log, begun = Log(learner.seeds, study.conditions[condition].log), time.perf_counter()
-    while not learner.done and (learner.epoch < 4 or time.perf_counter() < begun + PATIENCE):
+    while not learner.done and (learner.epoch < 4 or time.perf_counter() < begun + patience):
         log.add(learner.advance())
     epoch = (time.perf_counter() - begun) / learner.epoch
     columns = log.columns()
@@ -363,22 +369,24 @@ def _stored(
     """Epochs, bytes on the disk and time to store of a run of half as many epochs and of one of all."""
     found = []
     with tempfile.TemporaryDirectory() as folder, opened(Path(folder)) as store:
-        store.declare({condition: study.written[condition]})
+        written = study.conditions[condition].model_dump(mode="json")
+        store.declare({condition: written}, (0, 1), "")
         for seed, part in enumerate((math.ceil(epochs / 2), epochs)):
-            before, begun = _size(store.folder), time.perf_counter()
+            before, begun = _used(store.folder), time.perf_counter()
             some = {name: column[:part] for name, column in columns.items()}
-            store.commit((condition, seed), run_tables(some, 0, seed, condition, stored, 0.0))
-            found.append((part, _size(store.folder) - before, time.perf_counter() - begun))
+            tables = run_tables(some, 0, seed, condition, stored, 0.0)
+            store.commit([stage(attempt(store.scratch), (condition, seed), tables, json.dumps(written))])
+            found.append((part, _used(store.folder) - before, time.perf_counter() - begun))
     return found
 
 
-def _size(folder: Path) -> int:
+def _used(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _instant(setup: Setup) -> Callable[..., Trials]:
     """Trials of one step whose displacements are random; one is simulated, here."""
-    lanes, rng = full_block(setup), np.random.default_rng(0)
+    lanes, rng = full_block(setup.physics), np.random.default_rng(0)
     behaviours = rng.random((lanes, 2 * setup.body.n_groups))
     options = {"scene": setup.scene, "physics": setup.physics, "gait": setup.gait, "duration": setup.physics.dt}
     known: dict[str, Any] = vars(simulate(setup.body, behaviours, threads=1, width=lanes, **options))

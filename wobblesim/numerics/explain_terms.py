@@ -18,7 +18,7 @@ from wobblesim.learning.run import Setup
 from wobblesim.physics.contract import Method, System, system_of
 from wobblesim.physics.registry import INTEGRATORS
 from wobblesim.physics.scene import Floor
-from wobblesim.physics.simulate import VECTOR_BYTES, Trials, simulate
+from wobblesim.physics.simulate import Trials, full_block, simulate
 
 FAINT = 1e-150
 """Weak beyond notice, and yet not left out; its products in float64 are no subnormal numbers, which are slow."""
@@ -84,11 +84,6 @@ def system_and_method(setup: Setup) -> tuple[System, Method]:
     system = system_of(setup.body, setup.scene, 1.0)
     physics = setup.physics
     return system, INTEGRATORS[physics.integrator].prepare(system, physics, np.dtype(physics.precision))
-
-
-def full_block(setup: Setup) -> int:
-    """Lanes of a full block."""
-    return INTEGRATORS[setup.physics.integrator].registers * VECTOR_BYTES // np.dtype(setup.physics.precision).itemsize
 
 
 def specialisation(setup: Setup) -> tuple[bool, ...]:
@@ -229,7 +224,7 @@ class _Clock:
 def _clock(setup: Setup) -> _Clock:
     """As many steps as a trial has, or fewer, and as many blocks, as take the time that is wanted."""
     most = min(MOST_STEPS, max(1, round(setup.duration / setup.physics.dt)))
-    short = _Clock(full_block(setup), 1, min(100, most))
+    short = _Clock(full_block(setup.physics), 1, min(100, most))
     short.call(setup)
     a_step = min(_time(lambda: short.call(setup)) for _ in range(3)) / short.steps
     steps = max(1, min(most, int(TIMED / a_step)))

@@ -162,6 +162,7 @@ def differences(setup: Setup, known: Mapping[str, Any] | None = None) -> list[st
     return [name for name, is_same in same.items() if not is_same]
 
 
+@functools.lru_cache(maxsize=64)  # the conditions of a study share their robot
 def _is_adult_starfish(body: Body) -> bool:
     adult = starfish()
     arrays = [name for name, value in vars(adult).items() if isinstance(value, np.ndarray)]

@@ -61,7 +61,7 @@ def bounds_of(
         Largest relative change of a muscle's rest length at sign 1.
     """
     real, order = dtype.type, method.node_order
-    mass = np.where(system.inverse_mass > 0, system.mass, 0.0)
+    mass = system.moving_mass
     row = np.argsort(order)[system.springs]
     speed, strain, gain = (
         np.inf if bound is None else bound for bound in (physics.max_speed, physics.max_strain, physics.max_energy)
@@ -69,7 +69,7 @@ def bounds_of(
     energy = start_energy(system) + gain * energy_scale(system, length, amplitude) if gain < np.inf else np.inf
     with np.errstate(over="ignore"):  # a bound beyond single precision is none
         limits = [real(bound) for bound in (np.square(speed), strain, energy)]
-    gx, gy = system.gravity or (0.0, 0.0)
+    gx, gy = system.pull
     return Bounds(
         real(method.ahead), *limits,
         half_mass=(0.5 * (1.0 - ROUNDED) * mass[order]).astype(dtype),
@@ -93,13 +93,12 @@ def _stretch(system: System) -> Array:
 
 
 def _kinetic(system: System) -> float:
-    moving = np.where(system.inverse_mass > 0, system.mass, 0.0)
-    return 0.5 * float(moving @ (system.velocity**2).sum(axis=1))
+    return 0.5 * float(system.moving_mass @ (system.velocity**2).sum(axis=1))
 
 
 def start_energy(system: System) -> float:
     """Energy at the start: kinetic, elastic, and in the field of gravity (0 at the origin)."""
-    weight = np.where(system.inverse_mass > 0, system.mass, 0.0) @ (system.position @ (system.gravity or (0.0, 0.0)))
+    weight = system.moving_mass @ (system.position @ system.pull)
     return _kinetic(system) + 0.5 * float(system.k @ _stretch(system) ** 2) - float(weight)
 
 
@@ -110,7 +109,7 @@ def energy_scale(system: System, length: float, amplitude: float) -> float:
     inside it), what lifts it by its own length and by its height above the floor, what its muscles store when they are
     held at one end of their range and pull towards the other, and a strain of 0.001 of all springs.
     """
-    mass = np.where(system.inverse_mass > 0, system.mass, 0.0)
+    mass = system.moving_mass
     extent = np.hypot(*np.ptp(system.position, axis=0))
     lift = max(length, extent) + (max(0.0, system.position[:, 1].max()) if system.floor else 0.0)
     depth = np.minimum(system.position[:, 1], 0.0) if system.floor else np.zeros(system.n_nodes)
@@ -118,12 +117,7 @@ def energy_scale(system: System, length: float, amplitude: float) -> float:
     swing = np.zeros(len(system.rest))
     swing[system.muscle_row] = 2.0 * amplitude * np.abs(system.muscle_sign) * system.rest[system.muscle_row]
     stored = _stretch(system) ** 2 + swing[system.rest_row] ** 2 + (NOISE * system.rest[system.rest_row]) ** 2
-    return (
-        _kinetic(system)
-        + inside
-        + mass.sum() * np.hypot(*(system.gravity or (0.0, 0.0))) * lift
-        + 0.5 * float(system.k @ stored)
-    )
+    return _kinetic(system) + inside + mass.sum() * np.hypot(*system.pull) * lift + 0.5 * float(system.k @ stored)
 
 
 @inlined

@@ -86,6 +86,16 @@ class System:
         """Number of point masses."""
         return len(self.position)
 
+    @property
+    def moving_mass(self) -> Array:
+        """Mass (n_nodes,), 0 for a fixed node."""
+        return np.where(self.inverse_mass > 0, self.mass, 0.0)
+
+    @property
+    def pull(self) -> Array:
+        """Gravity (2,) in u/s², zeros if the scene has none."""
+        return np.zeros(2) if self.gravity is None else np.array(self.gravity)
+
 
 def system_of(body: Body, scene: Scene, gravity_factor: float, leave_out: bool = True) -> System:
     """The arrays of an adapted body in a scene; with `leave_out` only of the terms that do something."""
@@ -218,6 +228,11 @@ def set_rest_lengths(tag, muscles, rest, half_step):
 def plan_array(numbers: Any) -> Array:
     """Indices for kernels. Unsigned: for negative ones Numba spends 13 % of `midpoint`'s elimination."""
     return np.asarray(numbers).astype(np.uint32)
+
+
+def caster(dtype: Dtype) -> Callable[[Any], Any]:
+    """What makes constants of one precision of numbers; a term that the scene does not have stays None."""
+    return lambda numbers: None if numbers is None else np.asarray(numbers, dtype)
 
 
 def rows(n_rows: int, tag: LanesTag) -> Array:

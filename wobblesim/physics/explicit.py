@@ -20,6 +20,7 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    caster,
     plan_array,
     rows,
     set_rest_lengths,
@@ -68,9 +69,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     if system.floor:
         floor, c_n = compliant_floor(system.floor, system.mass, leave_out=system.leave_out)
 
-    def cast(numbers: Any) -> Any:
-        return None if numbers is None else np.asarray(numbers, dtype)
-
+    cast = caster(dtype)
     constants = Explicit(
         h=dtype.type(h), weight=cast(h * np.array([1, 2, 2, 1]) / 6), ahead=cast(h * np.array([0.5, 0.5, 1.0, 0.0])),
         stage=np.array([0, 1, 1, 2]), inverse_mass=cast(system.inverse_mass), gravity=cast(system.gravity),

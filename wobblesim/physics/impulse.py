@@ -20,6 +20,7 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    caster,
     plan_array,
     rows,
     set_rest_lengths,
@@ -82,9 +83,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     floor = system.floor
     bounces = floor and (floor.restitution > 0 or not system.leave_out)
 
-    def cast(numbers: Any) -> Any:
-        return None if numbers is None else np.asarray(numbers, dtype)
-
+    cast = caster(dtype)
     constants = Impulse(
         h=dtype.type(h), iterations=physics.iterations, gravity=cast(system.gravity and h * np.array(system.gravity)),
         restitution=dtype.type(floor.restitution) if floor and bounces else None,

@@ -37,6 +37,7 @@ from wobblesim.physics.contract import (
     Method,
     State,
     System,
+    caster,
     plan_array,
     rows,
     set_rest_lengths,
@@ -105,9 +106,7 @@ def prepare(system: System, physics: Physics, dtype: Dtype) -> Method:
     inertia = mass + np.where(system.inverse_mass[order] > 0, 0.0, np.bincount(a, s, n) + np.bincount(b, s, n))
     floor, c_n, d_n, d_t = _floor(system, mass, h)
 
-    def cast(numbers: Any) -> Any:
-        return None if numbers is None else np.asarray(numbers, dtype)
-
+    cast = caster(dtype)
     constants = Midpoint(
         h=dtype.type(h), half_h=dtype.type(0.5 * h), minus_free=cast(np.where(system.inverse_mass[order] > 0, -1, 0)),
         mass=cast(inertia), weight=cast(system.gravity and h * np.outer(mass, system.gravity)),

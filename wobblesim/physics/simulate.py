@@ -205,7 +205,7 @@ def _run(
     prepared, dtype = _prepared(robot, physics), np.dtype(physics.precision)
     signals = split_behaviours(behaviours, robot.gait)
     ticks = _ticks(robot.gait, physics.dt, n_steps, dtype)
-    full = INTEGRATORS[physics.integrator].registers * VECTOR_BYTES // dtype.itemsize
+    full = full_block(physics)
     widths = [width] * -(-len(behaviours) // width) if width else block_widths(len(behaviours), threads, full)
     starts = itertools.accumulate(widths, initial=0)
     blocks = [_Block(lanes(dtype, w), signals, start) for w, start in zip(widths, starts, strict=False)]
@@ -259,12 +259,23 @@ def block_widths(n_trials: int, threads: int, full: int) -> list[int]:
     Whole rounds of full blocks, one a thread; what is left over in blocks as narrow as keeps all threads busy.
     """
     rounds, left = divmod(n_trials, full * threads)
-
-    def cost(width: int) -> float:
-        return math.ceil(math.ceil(left / width) / threads) * (width / full) ** NARROW_EXPONENT
-
-    width = min((full, full // 2, full // 4), key=cost)
+    width = min((full, full // 2, full // 4), key=lambda width: _rest_cost(left, width, threads, full))
     return [full] * (rounds * threads) + [width] * math.ceil(left / width)
+
+
+def call_cost(n_trials: int, threads: int, full: int) -> float:
+    """Time that so many trials take, in that of a full block."""
+    rounds, left = divmod(n_trials, full * threads)
+    return rounds + min(_rest_cost(left, width, threads, full) for width in (full, full // 2, full // 4))
+
+
+def _rest_cost(left: int, width: int, threads: int, full: int) -> float:
+    return math.ceil(math.ceil(left / width) / threads) * (width / full) ** NARROW_EXPONENT
+
+
+def full_block(physics: Physics) -> int:
+    """Lanes of a full block."""
+    return INTEGRATORS[physics.integrator].registers * VECTOR_BYTES // np.dtype(physics.precision).itemsize
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from wobblesim.study.plan import Group
+from wobblesim.study.work import Beat, Receipt
+
 Kind = Literal["begin", "epoch", "run", "failure", "note", "end"]
 
 
@@ -69,6 +72,7 @@ class Meter:
         self._tell, self.wanted, self.present, self.failed, self.work = tell, wanted, present, failed, work
         self.done = self.diverged = self.refined = self.epoch = self.epochs = 0
         self.group = ""
+        self._busy: set[Group] = set()
         self._worked = 0
         self._first: tuple[float, int] | None = None
 
@@ -78,29 +82,36 @@ class Meter:
         mine = {name: getattr(self, name) for name in TOLD}
         self._tell(Progress(kind, **mine, fraction=fraction, remaining=self._remaining(), message=message))
 
-    def skip(self, work: int) -> None:
-        """Leave out lane-steps that need not be done: an earlier command did them, or their runs came to nothing."""
-        self.work -= work
-
-    def finish(self, message: str, *, failed: bool) -> None:
-        """Count a run that was stored."""
-        self.done += 1
-        self.failed += failed
-        self.tell("run", message)
-
-    def fail(self, runs: int, message: str) -> None:
-        """Count runs that came to nothing."""
-        self.failed += runs
-        self.tell("failure", message)
-
-    def count(self, work: int, diverged: int, refined: int) -> None:
-        """Count the lane-steps, and the diverged and refined trials, of an epoch."""
-        self._worked += work
-        self.diverged += diverged
-        self.refined += refined
-        if self._first is None:
+    def hear(self, beat: Beat) -> None:
+        """Count what a job has done since it was last heard of."""
+        self._busy.add(beat.group)
+        others = f" and {len(self._busy) - 1} more" if len(self._busy) > 1 else ""
+        self.group, self.epoch, self.epochs = f"{beat.group}{others}", beat.epoch, beat.epochs
+        self.work -= beat.skipped
+        self._worked += beat.work
+        self.diverged += beat.diverged
+        self.refined += beat.refined
+        if beat.work and self._first is None:
             # The first epoch may contain the compilation of the kernels: the rate is measured from its end.
             self._first = time.monotonic(), self._worked
+        if beat.work:
+            self.tell("epoch")
+
+    def finish(self, receipt: Receipt) -> None:
+        """Count the runs that were stored of a job."""
+        self._busy.discard(receipt.job.group)
+        for line, said in zip(receipt.lines, receipt.said, strict=True):
+            self.done += 1
+            self.failed += line["status"] == "failed"
+            self.tell("run", said)
+
+    def fail(self, receipt: Receipt, left: int) -> None:
+        """Count the runs of a job that came to nothing, whose last `left` lane-steps need not be done."""
+        group = receipt.job.group
+        self._busy.discard(group)
+        self.work -= left
+        self.failed += len(receipt.job.missing)
+        self.tell("failure", f"{group}: failed in epoch {receipt.epoch}: {_last_line(receipt.error)}")
 
     def _remaining(self) -> float | None:
         if self._first is None:
@@ -108,3 +119,10 @@ class Meter:
         since, before = self._first
         worked = self._worked - before
         return (time.monotonic() - since) / worked * max(0, self.work - self._worked) if worked else None
+
+
+def _last_line(traceback: str) -> str:
+    """What was raised, and its message, in one line."""
+    lines = traceback.strip().splitlines()
+    start = max((place for place, line in enumerate(lines) if line.startswith("  ")), default=-1) + 1
+    return " ".join(" ".join(lines[start:]).split())

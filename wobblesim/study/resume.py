@@ -12,19 +12,25 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import json
 import shutil
 import zipfile
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wobblesim.study.plan import Group, RunKey
-from wobblesim.study.rows import Columns
-from wobblesim.study.store import CHECKPOINTS, SCRATCH, write_atomically
+from wobblesim.study.errors import not_written
+from wobblesim.study.files import write_atomically
+from wobblesim.study.group import Group
+from wobblesim.study.manifest import RunKey
+from wobblesim.study.store import CHECKPOINTS
+
+if TYPE_CHECKING:  # `wobblesim status` need not wait for the simulator to be imported
+    from wobblesim.study.rows import Columns
 
 LEARNER = "learner."
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
@@ -63,6 +69,7 @@ def identity(condition: Mapping[str, Any]) -> str:
 
 def save(
     folder: Path,
+    scratch: Path,
     group: Group,
     identity: str,
     snapshot: Mapping[str, np.ndarray],
@@ -74,8 +81,8 @@ def save(
 
     Parameters
     ----------
-    folder : Path
-        Of the results.
+    folder, scratch : Path
+        Of the results, and where files are made.
     group : Group
     identity : str
         Of its condition.
@@ -93,7 +100,7 @@ def save(
     """
     place = _place(folder, group)
     if part:
-        _write(place / f"part-{parts - 1}.npz", folder, part)
+        _write(place / f"part-{parts - 1}.npz", scratch, part)
     head = {
         "condition": np.array(group.condition),
         "seeds": np.array(group.seeds),
@@ -101,7 +108,7 @@ def save(
         "parts": np.array(parts),
         "seconds": np.array(seconds),
     }
-    _write(place / "state.npz", folder, head | {f"{LEARNER}{name}": array for name, array in snapshot.items()})
+    _write(place / "state.npz", scratch, head | {f"{LEARNER}{name}": array for name, array in snapshot.items()})
 
 
 def _place(folder: Path, group: Group) -> Path:
@@ -110,12 +117,10 @@ def _place(folder: Path, group: Group) -> Path:
     return folder / CHECKPOINTS / f"condition={group.condition}" / f"seeds-{group.seeds[0]}-{len(group.seeds)}-{digest}"
 
 
-def _write(path: Path, folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    def write(temporary: Path) -> None:
-        with temporary.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # the stubs take `allow_pickle` for one of the names
-
-    write_atomically(path, folder / SCRATCH, write)
+def _write(path: Path, scratch: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]  # the stubs take `allow_pickle` for one of the names
+    write_atomically(path, scratch, content.getbuffer())
 
 
 def load(folder: Path, group: Group, identity: str) -> Checkpoint | None:
@@ -127,9 +132,17 @@ def load(folder: Path, group: Group, identity: str) -> Checkpoint | None:
             return None
         parts = [_read(place / f"part-{number}.npz") for number in range(int(state["parts"]))]
         snapshot = {name.removeprefix(LEARNER): array for name, array in state.items() if name.startswith(LEARNER)}
+        _check_epochs(parts, int(snapshot["epoch"]))
         return Checkpoint(group, snapshot, parts, float(state["seconds"]))
     except UNREADABLE:
         return None
+
+
+def _check_epochs(parts: list[Columns], epoch: int) -> None:
+    """Refuse parts that do not follow each other: two processes that believed they held the group have written them."""
+    found = [number for part in parts for number in part["epochs.epoch"][:, 0].tolist()]
+    if found != list(range(epoch)):
+        raise ValueError(f"the parts hold other epochs than 0 to {epoch - 1}")
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
@@ -152,10 +165,10 @@ def begun(folder: Path, conditions: Mapping[str, Any], present: Collection[RunKe
             and head.identity == identity(conditions.get(head.group.condition, {}))
         ):
             found.append(head.group)
-    for group in found:
-        if set(group.runs) <= set(present):
-            discard(folder, group)
-    return [group for group in found if not set(group.runs) <= set(present)]
+    done = [group for group in found if all(run in present for run in group.runs)]
+    for group in done:
+        discard(folder, group)
+    return [group for group in found if group not in done]
 
 
 def _places(folder: Path) -> list[Path]:
@@ -183,7 +196,7 @@ def _head(place: Path) -> Head | None:
 
 def standing(folder: Path, condition: str) -> list[Head]:
     """The checkpoints of a condition."""
-    heads = [_head(place) for place in _places(folder) if place.parent.name == f"condition={condition}"]
+    heads = map(_head, sorted((folder / CHECKPOINTS / f"condition={condition}").glob("seeds-*")))
     return [head for head in heads if head]
 
 
@@ -199,23 +212,32 @@ def sweep_up(folder: Path) -> list[str]:
     return [f"the checkpoint {place} cannot be read: its runs start anew" for place in unreadable]
 
 
-def useful(groups: Collection[Group], wanted: Collection[RunKey], present: Collection[RunKey]) -> list[Group]:
+def useful(groups: Collection[Group], is_wanted: Callable[[RunKey], bool], present: Collection[RunKey]) -> list[Group]:
     """Of the groups begun, those to go on with: what they miss is wanted, and none is run twice."""
     taken: set[RunKey] = set()
     chosen = []
     for group in groups:
-        missing = set(group.runs) - set(present)
-        if missing and missing <= set(wanted) and not missing & taken:
+        missing = {run for run in group.runs if run not in present}
+        if missing and all(map(is_wanted, missing)) and not missing & taken:
             chosen.append(group)
             taken |= missing
     return chosen
 
 
 def discard(folder: Path, group: Group) -> None:
-    """Remove the checkpoint of a group, if it has one."""
+    """Remove the checkpoint of a group, if it has one.
+
+    Raises
+    ------
+    WriteError
+        If the system refuses.
+    """
     place = _place(folder, group)
-    # The state goes first: parts without a state say nothing.
-    (place / "state.npz").unlink(missing_ok=True)
+    try:
+        # The state goes first: parts without a state say nothing.
+        (place / "state.npz").unlink(missing_ok=True)
+    except OSError as error:
+        raise not_written(place, error) from error
     shutil.rmtree(place, ignore_errors=True)
     _remove_if_empty(place.parent)
 

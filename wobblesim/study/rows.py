@@ -141,7 +141,7 @@ def _summary(mine: Columns, seconds: float) -> dict[str, Any]:
     counts = {name: int(epochs[name].sum()) for name in (*STATUSES, "reused")}
     performance = float(epochs["best"][-1])
     return {
-        "status": ["failed" if np.isnan(performance) else "ok"],
+        "status": "failed" if np.isnan(performance) else "ok",
         "performance": performance,
         "path_before": float(epochs["path_before"][-1]),
         "path_after": float(epochs["path"][-1] - epochs["path_before"][-1]),

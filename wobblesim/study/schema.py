@@ -7,6 +7,7 @@ here is a change of `SCHEMA_VERSION`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -133,6 +134,7 @@ COLUMNS: dict[str, dict[str, pa.DataType]] = {
 }
 
 
+@cache
 def schema(table: str, genes: int = 0) -> pa.Schema:
     """Columns of a table, in order; `genes` is the length of a genotype."""
     columns = dict(COLUMNS[table])
@@ -141,33 +143,42 @@ def schema(table: str, genes: int = 0) -> pa.Schema:
     return pa.schema(list(columns.items()))
 
 
-def encodings(schema: pa.Schema) -> dict[str, Any]:
-    """How pyarrow's writer packs the columns: repeated words in a dictionary, doubles byte by byte."""
-    words = [field.name for field in schema if field.type in (TEXT, NAME)]
-    reals = [field.name for field in schema if field.type == REAL]
-    lists = [f"{field.name}.list.element" for field in schema if pa.types.is_fixed_size_list(field.type)]
+@cache
+def encodings(table: str) -> Mapping[str, Any]:
+    """How pyarrow's writer packs the columns of a table: repeated words in a dictionary, doubles byte by byte."""
+    fields = list(schema(table))
+    words = [field.name for field in fields if field.type in (TEXT, NAME)]
+    reals = [field.name for field in fields if field.type == REAL]
+    lists = [f"{field.name}.list.element" for field in fields if pa.types.is_fixed_size_list(field.type)]
     return {"use_dictionary": words, "use_byte_stream_split": reals + lists}
 
 
 def table(name: str, columns: Mapping[str, Any]) -> pa.Table:
     """Make a table of columns (n,), those missing null; `genotype` is (n, genes).
 
-    A column that is one value instead of an array holds it in every row.
+    A column that is one value instead of an array holds it in every row; if all are, there is one row.
     """
-    rows = max(len(column) for column in columns.values() if isinstance(column, list | np.ndarray))
-    genes = columns["genotype"].shape[1] if name == "behaviours" else 0
-    target = schema(name, genes)
-    return pa.table([_array(columns.get(field.name), rows, field.type) for field in target], schema=target)
+    rows = max((len(column) for column in columns.values() if isinstance(column, np.ndarray)), default=1)
+    target = schema(name, columns["genotype"].shape[1] if name == "behaviours" else 0)
+    arrays = [_array(columns.get(key), rows, kind) for key, kind in zip(target.names, target.types, strict=True)]
+    return pa.Table.from_arrays(arrays, schema=target)
+
+
+def row(values: Mapping[str, Any]) -> dict[str, pa.Array]:
+    """Settings as columns of one row, made once for all runs that share them."""
+    return {name: _array(value, 1, PARAMETERS[name]) for name, value in values.items()}
 
 
 def _array(column: Any, rows: int, kind: pa.DataType) -> pa.Array:
-    if pa.types.is_fixed_size_list(kind):
+    if isinstance(column, pa.Array):
+        return column
+    if isinstance(column, np.ndarray) and column.ndim == 2:
         return pa.FixedSizeListArray.from_arrays(pa.array(column.ravel()), kind.list_size)
+    if isinstance(column, np.ndarray):
+        return pa.array(column, kind)
     if kind == NAME:
-        return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), pa.array([column], pa.string()))
-    if not isinstance(column, list | np.ndarray):
-        return pa.repeat(pa.scalar(column, kind), rows)
-    return pa.array(column, kind)
+        return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), pa.array([column], TEXT))
+    return pa.repeat(pa.scalar(column, kind), rows)
 
 
 def flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,213 +1,101 @@
-"""The results folder: a run is there if, and only if, a line of the manifest says so.
+"""The results folder, held by this process.
 
-    config.yaml  manifest.jsonl  .lock  checkpoints/  .scratch/
+    config.yaml  manifest.jsonl  .lock  checkpoints/  quarantine/  .scratch/
     runs/ epochs/ trials/ behaviours/        condition=<id>/seed-<n>.parquet
 
-A file is written beside the datasets, closed, its footer read back, flushed to the disk (fsync) and only then moved to
-its place (`os.replace`); when all files of a run are in place, one flushed line of the manifest makes them a result.
-Whatever dies in between leaves files that nothing refers to, and the run is computed again. The datasets hold Parquet
+A file is written beside the datasets, flushed to the disk (fsync) and only then moved to its place (`os.replace`); when
+all files of a run are in place, one flushed line of the manifest makes them a result. Whatever dies in between leaves
+files that nothing refers to: they are put into quarantine, and the run is computed again. The datasets hold Parquet
 files only, so that other programs can open the folders as they are.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
 import shutil
-import socket
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import uuid
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from wobblesim.study.errors import StoreError, not_written, unwritable
+from wobblesim.study.files import FileRecord, flush, move_all, write_atomically, write_table
+from wobblesim.study.lock import Shard, held
+from wobblesim.study.manifest import (
+    MANIFEST,
+    OF_DATASET,
+    Manifest,
+    RunKey,
+    Writer,
+    manifests,
+    packed,
+    read_lines,
+    read_manifest,
+)
 from wobblesim.study.provenance import kernel_hash, provenance
-from wobblesim.study.schema import SCHEMA_VERSION, encodings, flat
+from wobblesim.study.schema import COLUMNS, SCHEMA_VERSION, flat
 
-CHECKPOINTS, SCRATCH, MANIFEST, LOCK, CONFIG = "checkpoints", ".scratch", "manifest.jsonl", ".lock", "config.yaml"
-
-LOCK_PATIENCE = 0.5
-"""s to wait for a lock: a second writer is refused within a second."""
-
-RunKey = tuple[str, int]
-"""A condition's id and a seed."""
+CHECKPOINTS, SCRATCH, QUARANTINE, CONFIG = "checkpoints", ".scratch", "quarantine", "config.yaml"
 
 
-class StoreError(Exception):
-    """The folder cannot be used as asked; the message is one sentence with its remedy."""
+# --- a worker's part: files that are not results yet ---------------------------------------------------------------
 
 
-class WriteError(StoreError):
-    """A result could not be written; what was committed before is untouched."""
-
-
-# --- the manifest --------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Manifest:
-    """What a folder holds.
-
-    Attributes
-    ----------
-    conditions : dict
-        By id, in the order in which they were added, what the condition is: ``{"config": ..., "kernel": ...}``.
-    runs : dict
-        By (condition id, seed), the line that committed the run.
-    failures : dict
-        By (condition id, seed), why a run came to no result; a later commit of the run removes it.
-    unreadable : list of str
-        Lines that say nothing, such as one cut off by a crash; their runs do not count.
-    """
-
-    conditions: dict[str, dict[str, Any]] = field(default_factory=dict)
-    runs: dict[RunKey, dict[str, Any]] = field(default_factory=dict)
-    failures: dict[RunKey, str] = field(default_factory=dict)
-    unreadable: list[str] = field(default_factory=list)
-
-    def take(self, line: Mapping[str, Any]) -> None:
-        """Take in one line; KeyError or TypeError if it says nothing."""
-        if line["kind"] == "condition":
-            self.conditions[line["condition"]] = {"config": line["config"], "kernel": line["kernel"]}
-        elif line["kind"] == "run":
-            key = line["condition"], int(line["seed"])
-            self.runs[key] = {name: line[name] for name in ("status", "diverged", "files")}
-            self.runs[key]["refined"] = line.get("refined", 0)  # a line of schema version 1 has none
-            self.failures.pop(key, None)
-        elif line["kind"] == "failure":
-            self.failures |= {(line["condition"], int(seed)): line["error"] for seed in line["seeds"]}
-        else:
-            raise KeyError(line["kind"])
-
-    def files(self, table: str) -> list[str]:
-        """Paths, relative to the folder, of a table's files: by condition, then seed."""
-        order = {condition: place for place, condition in enumerate(self.conditions)}
-        keys = sorted(self.runs, key=lambda key: (order.get(key[0], len(order)), key))
-        return [self.runs[key]["files"][table]["path"] for key in keys if table in self.runs[key]["files"]]
-
-
-def read_manifest(folder: Path) -> Manifest:
-    """Read what a folder holds; one without a manifest holds nothing."""
-    manifest = Manifest()
-    path = folder / MANIFEST
-    lines = path.read_bytes().split(b"\n") if path.exists() else []
-    for number, line in enumerate(lines, start=1):
-        last = number == len(lines)
-        if last and not line:
-            continue
-        try:
-            if last:
-                raise ValueError("no end of line")
-            manifest.take(json.loads(line))
-        except (ValueError, KeyError, TypeError):
-            cut = "cut off" if last else "damaged"
-            manifest.unreadable.append(f"{path}, line {number}: {cut}, and ignored; what it named is computed again")
-    return manifest
-
-
-# --- writing -------------------------------------------------------------------------------------------------------
-
-
-def write_atomically(path: Path, scratch: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` make a file, then move it to `path`: there is the whole new file or what was there before.
+def attempt(scratch: Path) -> Path:
+    """A new folder for the files of one attempt at a job: another one, elsewhere, cannot touch them.
 
     Raises
     ------
     WriteError
-        If the system refuses: no space, no permission, no folder.
+        If the system refuses.
     """
-    temporary = scratch / f"{path.name}.{os.getpid()}"
+    folder = scratch / f"{os.getpid()}-{uuid.uuid4().hex[:12]}"
     try:
-        write(temporary)
-        _flush(temporary)
-        _make_folder(path.parent)
-        temporary.replace(path)
-        _flush(path.parent)
+        folder.mkdir()
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise _not_written(path, error) from error
+        raise not_written(folder, error) from error
+    return folder
 
 
-def _not_written(path: Path, error: OSError) -> WriteError:
-    return WriteError(f"cannot write {path}: {_reason(error)}; put that right and give the same command again")
+def stage(scratch: Path, run: RunKey, tables: Mapping[str, pa.Table], config: str) -> dict[str, Any]:
+    """Write the tables of a run into a scratch folder; return the line that will make them a result.
 
-
-def _reason(error: OSError | ValueError) -> str:
-    return (getattr(error, "strerror", None) or str(error)).lower()
-
-
-def _flush(path: Path) -> None:
-    """Have the system put a file, or the names in a folder, on the disk (fsync)."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _make_folder(folder: Path) -> None:
-    """Make a folder whose name survives a power cut."""
-    if not folder.is_dir():
-        _make_folder(folder.parent)
-        folder.mkdir(exist_ok=True)
-        _flush(folder.parent)
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _write_table(path: Path, table: pa.Table, about: Mapping[str, str]) -> None:
-    """Write a Parquet file and read its footer back."""
-    metadata = {f"wobblesim.{name}": value for name, value in about.items()}
-    pq.write_table(
-        table.replace_schema_metadata(metadata),
-        path,
-        compression="zstd",
-        compression_level=3,
-        write_page_checksum=True,
-        **encodings(table.schema),
-    )
-    written = pq.read_metadata(path).num_rows
-    if written != table.num_rows:
-        raise OSError(f"{written} of {table.num_rows} rows arrived")
-
-
-def read_tables(folder: Path, paths: Sequence[str], columns: Sequence[str] | None = None) -> pa.Table:
-    """Read files of one table, those columns only, checking the checksum of each page.
+    Parameters
+    ----------
+    scratch : Path
+        Of this attempt alone.
+    run : (str, int)
+        Condition id and seed.
+    tables : mapping
+        By name; one row of "runs" among them.
+    config : str
+        The settings of the condition, as JSON.
 
     Raises
     ------
-    StoreError
-        If a file is missing, cut or altered.
+    WriteError
+        If the system refuses.
     """
-    parts = []
-    for path in paths:
-        try:
-            # A third of the time of `pq.read_table`, which looks at folders first: 0.5 ms a file.
-            with pq.ParquetFile(folder / path, page_checksum_verification=True) as file:
-                parts.append(file.read(columns=columns).replace_schema_metadata(None))
-        except (OSError, pa.ArrowException) as error:
-            raise StoreError(
-                f"{folder / path} is missing or damaged ({_first_line(error)}); "
-                "remove it and give the sweep command again to compute it anew"
-            ) from error
-    whole = pa.concat_tables(parts)
-    if lacking := [name for name in columns or () if name not in whole.column_names]:
-        raise StoreError(f"{folder} is of an older version: its tables have no {', '.join(lacking)}")
-    return whole
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().partition("\n")[0]
+    condition, seed = run
+    about = {"schema_version": str(SCHEMA_VERSION), "condition": condition, "seed": str(seed), "config": config}
+    about |= provenance()
+    files = {}
+    for name, table in tables.items():
+        staged = scratch / f"{name}-{seed}.parquet"
+        length, sha256 = write_table(staged, table, {"table": name, **about})
+        path = f"{name}/condition={condition}/seed-{seed}.parquet"
+        files[name] = FileRecord(path, table.num_rows, length, sha256)._asdict() | {"staged": str(staged)}
+    # Repeated here so that `wobblesim status` need not open a file for each run.
+    told = {name: tables["runs"][name][0].as_py() for name in ("status", "diverged", "refined")}
+    written = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"kind": "run", "condition": condition, "seed": seed, **told, "files": files, "written": written}
 
 
 # --- the folder ----------------------------------------------------------------------------------------------------
@@ -215,38 +103,46 @@ def _first_line(error: Exception) -> str:
 
 @dataclass
 class Store:
-    """The results folder of a sweep, held by this process; made by `opened`.
+    """The results folder of a sweep, or a shard's part of it, held by this process; made by `opened`.
 
     Attributes
     ----------
     folder : Path
     manifest : Manifest
         Kept up to date by the methods below.
+    shard : Shard or None
     lost : list of str
-        Runs of the manifest whose files are gone or of another size: they do not count, and are computed again.
+        Runs of the manifest whose files are gone or of another size, and files of no run: they do not count.
     """
 
     folder: Path
     manifest: Manifest
+    shard: Shard | None = None
     lost: list[str] = field(default_factory=list)
 
-    def present(self) -> set[RunKey]:
-        """The runs that are there."""
-        return set(self.manifest.runs)
+    def __post_init__(self) -> None:
+        self._writer: Writer | None = None
+        self._gone: set[RunKey] = set()  # runs of the manifest that do not count
 
-    def differences(self, conditions: Mapping[str, dict[str, Any]]) -> list[str]:
-        """How conditions, settings by id, differ from those of the same id in the folder: one sentence each."""
-        found = []
-        for condition in conditions.keys() & self._used():
-            stored = self.manifest.conditions[condition]
+    @property
+    def scratch(self) -> Path:
+        """Where this writer's files are made."""
+        return self.folder / SCRATCH / str(self.shard or "all")
+
+    def differences(self, conditions: Mapping[str, dict[str, Any]]) -> list[Difference]:
+        """How conditions, settings by id as JSON has them, differ from those of the same id in the folder."""
+        found: dict[tuple[str, str, str], list[str]] = {}
+        used, kernel = self._used(), kernel_hash()
+        for condition in [name for name in conditions if name in used]:
+            stored, what = self.manifest.conditions[condition], {"config": conditions[condition], "kernel": kernel}
+            if stored == what:
+                continue
             old = flat(stored["config"]) | {"kernel": stored["kernel"]}
-            new = flat(_as_stored(conditions[condition])) | {"kernel": kernel_hash()}
-            found += [
-                f"{condition}: {key} is {_written(old, key)} there and {_written(new, key)} here"
-                for key in (old | new)
-                if old.get(key) != new.get(key)
-            ]
-        return sorted(found)
+            new = flat(what["config"]) | {"kernel": kernel}
+            for key in old | new:
+                if old.get(key) != new.get(key):
+                    found.setdefault((key, _written(old, key), _written(new, key)), []).append(condition)
+        return [Difference(*what, tuple(where)) for what, where in found.items()]
 
     def check(self, conditions: Mapping[str, dict[str, Any]]) -> None:
         """Compare conditions, settings by id, with what the folder holds.
@@ -258,100 +154,102 @@ class Store:
         """
         if differences := self.differences(conditions):
             raise StoreError(
-                f"{self.folder} holds results of other settings or another simulator (kernel); "
-                "choose another --out or undo the change: " + _shortened(differences)
+                f"{self.folder} holds results of other settings or of another simulator:\n"
+                f"{_as_table(differences, len(conditions))}\n"
+                "Undo the change, or give --fork DIR to start a folder beside it that takes over what is unchanged."
             )
 
-    def declare(self, conditions: Mapping[str, dict[str, Any]]) -> None:
-        """Check conditions, and say what they are before there are runs of them."""
+    def declare(self, conditions: Mapping[str, dict[str, Any]], seeds: Sequence[int], config: str) -> None:
+        """Check conditions, and say what they are, and what is wanted of them, before there are runs of them.
+
+        Parameters
+        ----------
+        conditions : mapping
+            Settings by id, as JSON has them (lists, no tuples).
+        seeds : sequence of int
+        config : str
+            Text of the configuration, kept beside the results.
+        """
         self.check(conditions)
-        used = self._used()
-        for condition, config in conditions.items():
-            what = {"config": _as_stored(config), "kernel": kernel_hash()}
+        used, kernel = self._used(), kernel_hash()
+        lines: list[dict[str, Any]] = []
+        for condition, settings in conditions.items():
+            what = {"config": settings, "kernel": kernel}
             if condition not in used and self.manifest.conditions.get(condition) != what:
                 _check_name(condition)
-                self._append({"kind": "condition", "condition": condition, **what})
+                lines.append({"kind": "condition", "condition": condition, **what})
+        sha256 = hashlib.sha256(config.encode()).hexdigest()
+        wanted = list(conditions), tuple(seeds)
+        if wanted not in self.manifest.studies or sha256 not in self.manifest.configs:
+            lines.append({"kind": "study", "conditions": wanted[0], "seeds": packed(seeds), "config": sha256})
+        self._append(lines)
+        write_atomically(self.folder / CONFIG, self.scratch, config.encode())
 
     def _used(self) -> set[str]:
         """The conditions of which there is work; one of which there is none may still become something else."""
         begun = {place.name.removeprefix("condition=") for place in (self.folder / CHECKPOINTS).glob("condition=*")}
         return (begun | {condition for condition, _ in self.manifest.runs}) & self.manifest.conditions.keys()
 
-    def write_config(self, text: str) -> None:
-        """Keep the configuration of the sweep beside its results."""
-        write_atomically(
-            self.folder / CONFIG, self.folder / SCRATCH, lambda path: _ignore(path.write_text(text, encoding="utf-8"))
-        )
-
-    def commit(self, run: RunKey, tables: Mapping[str, pa.Table]) -> None:
-        """Make the tables of a run a result.
+    def commit(self, lines: Sequence[Mapping[str, Any]]) -> None:
+        """Make staged runs results.
 
         Parameters
         ----------
-        run : (str, int)
-            Condition id and seed.
-        tables : mapping
-            By name; one row of "runs" among them.
+        lines : sequence of mapping
+            Of `stage`.
+
+        Raises
+        ------
+        WriteError
+            If the system refuses; what was committed before is untouched.
         """
-        files = {name: self._write(name, run, table) for name, table in tables.items()}
-        condition, seed = run
-        # Repeated here so that `wobblesim status` need not open a file for each run.
-        told = tables["runs"].select(["status", "diverged", "refined"]).to_pylist()[0]
-        line = {"kind": "run", "condition": condition, "seed": seed, **told, "files": files}
-        self._append(line | {"written": datetime.now(UTC).isoformat(timespec="seconds")})
+        files = [file for line in lines for file in line["files"].values()]
+        self._append(self._forgotten(lines))
+        move_all((Path(file["staged"]), self.folder / file["path"]) for file in files)
+        self._append([_without_staging(line) for line in lines])
+        for attempt in {Path(file["staged"]).parent for file in files}:
+            shutil.rmtree(attempt, ignore_errors=True)
+
+    def forget(self, run: RunKey) -> None:
+        """Count a run no longer, whose files are lost."""
+        del self.manifest.runs[run]
+        self._gone.add(run)
+
+    def _forgotten(self, lines: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Lines that take back what older ones say of the same runs, whose files are lost.
+
+        The new files may be as long as the old ones: without this, a death before their line would leave them under an
+        old line that tells of others.
+        """
+        runs = ((line["condition"], [row[0] for row in line.get("runs", ())] or [line["seed"]]) for line in lines)
+        again = ((condition, [seed for seed in seeds if (condition, seed) in self._gone]) for condition, seeds in runs)
+        return [{"kind": "lost", "condition": condition, "seeds": seeds} for condition, seeds in again if seeds]
 
     def fail(self, condition: str, seeds: Sequence[int], error: str) -> None:
         """Note that runs came to no result, and why; the same command tries them again."""
-        self._append({"kind": "failure", "condition": condition, "seeds": list(seeds), "error": error})
+        self._append([{"kind": "failure", "condition": condition, "seeds": list(seeds), "error": error}])
 
-    def _write(self, name: str, run: RunKey, table: pa.Table) -> dict[str, Any]:
-        condition, seed = run
-        relative = Path(name, f"condition={condition}", f"seed-{seed}.parquet")
-        path = self.folder / relative
-        about = self._about(name, run)
-        write_atomically(path, self.folder / SCRATCH, lambda temporary: _write_table(temporary, table, about))
-        return {
-            "path": relative.as_posix(),
-            "rows": table.num_rows,
-            "bytes": path.stat().st_size,
-            "sha256": _sha256(path),
-        }
+    def compacted(self, line: Mapping[str, Any]) -> None:
+        """Let the runs of a condition be in other files than before, which are in their places already."""
+        self._append([line])
 
-    def _about(self, name: str, run: RunKey) -> dict[str, str]:
-        condition, seed = run
-        config = json.dumps(self.manifest.conditions[condition]["config"])
-        about = {"schema_version": str(SCHEMA_VERSION), "table": name, "condition": condition, "seed": str(seed)}
-        return about | {"config": config} | provenance()
+    def _append(self, lines: Sequence[Mapping[str, Any]]) -> None:
+        if lines:
+            if self._writer is None:
+                name = f"manifest-{self.shard}.jsonl" if self.shard else MANIFEST
+                self._writer = Writer(self.folder / name)
+            self._writer.append(lines)
+            for line in lines:
+                self.manifest.take(line)
 
-    def _append(self, line: dict[str, Any]) -> None:
-        """Add a line to the manifest; it is on the disk when this returns."""
-        path = self.folder / MANIFEST
-        is_new = not path.exists()
-        try:
-            with path.open("ab") as file:
-                file.write(json.dumps(line).encode() + b"\n")
-                file.flush()
-                os.fsync(file.fileno())
-            if is_new:
-                _flush(self.folder)
-        except OSError as error:
-            raise _not_written(path, error) from error
-        self.manifest.take(line)
-
-
-def _as_stored(config: dict[str, Any]) -> dict[str, Any]:
-    """The settings as they come back from the manifest: lists instead of tuples."""
-    return json.loads(json.dumps(config))
-
-
-def _written(leaves: Mapping[str, Any], key: str) -> str:
-    text = json.dumps(leaves[key]) if key in leaves else "absent"
-    return text if len(text) <= 60 else f"{text[:40]}... ({len(text)} characters)"
-
-
-def _shortened(sentences: Sequence[str], most: int = 5) -> str:
-    more = f"; and {len(sentences) - most} more" if len(sentences) > most else ""
-    return "; ".join(sentences[:most]) + more
+    def take_in_shards(self) -> None:
+        """Write what shards have done into the manifest of the whole folder, and remove theirs."""
+        for path in manifests(self.folder):
+            if path.name != MANIFEST:
+                lines = [line.content for line in read_lines(path) if line.content]
+                self._append([{key: line[key] for key in line if key not in ("after", "check")} for line in lines])
+                path.unlink()
+                flush(self.folder)  # taken in again later, its lines would undo what comes after them
 
 
 def _check_name(condition: str) -> None:
@@ -360,116 +258,153 @@ def _check_name(condition: str) -> None:
         raise StoreError(f"{condition!r} cannot be the id of a condition; begin it with a letter")
 
 
-def _ignore(_: object) -> None:
-    """Turn the result of a call into none."""
+def as_stored(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings as they come back from the manifest: lists instead of tuples."""
+    return json.loads(json.dumps(settings))
+
+
+def _without_staging(line: Mapping[str, Any]) -> dict[str, Any]:
+    files = {name: {key: file[key] for key in FileRecord._fields} for name, file in line["files"].items()}
+    return {**line, "files": files}
+
+
+# --- what differs --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A setting that conditions have in the folder and in the configuration, each in words."""
+
+    key: str
+    there: str
+    here: str
+    conditions: tuple[str, ...]
+
+
+def _written(leaves: Mapping[str, Any], key: str) -> str:
+    text = json.dumps(leaves[key]) if key in leaves else "absent"
+    return text if len(text) <= 60 else f"{text[:40]}... ({len(text)} characters)"
+
+
+def _as_table(differences: Sequence[Difference], conditions: int, most: int = 12) -> str:
+    """One row a setting that differs."""
+    title = ("setting", "there", "here", "")
+    shown = differences[:most]
+    rows = [title, *((it.key, it.there, it.here, _in_conditions(it.conditions, conditions)) for it in shown)]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = ["  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    if len(differences) > most:
+        lines.append(f"  and {len(differences) - most} more")
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _in_conditions(names: Sequence[str], of: int) -> str:
+    if len(names) == of > 1:
+        return f"in all {of:,} conditions"
+    others = f" and {len(names) - 2:,} more" if len(names) > 2 else ""
+    return f"in {', '.join(names[:2])}{others}"
+
+
+# --- opening -------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
-def opened(folder: Path) -> Iterator[Store]:
-    """Hold a results folder, made if need be: no other process can write to it meanwhile.
+def opened(folder: Path, shard: Shard | None = None, study: str = "") -> Iterator[Store]:
+    """Hold a results folder, made if need be, or a shard's part of it: no other process can write to it meanwhile.
+
+    Parameters
+    ----------
+    folder : Path
+    shard : Shard, optional
+    study : str
+        As for `held`.
 
     Raises
     ------
     StoreError
         If it cannot be written to, or if another process holds it.
     """
-    with _held(folder):
-        manifest = read_manifest(folder)
-        _cut_torn_line(folder / MANIFEST)
-        store = Store(folder, manifest)
-        _drop_lost(store)
+    with held(folder, shard, study):
+        store = Store(folder, read_manifest(folder), shard)
+        try:
+            _prove_writable(store.folder / SCRATCH if shard is None else store.scratch, store.scratch)
+            if shard is None:
+                store.take_in_shards()
+            _set_aside_lost(store)
+        except OSError as error:
+            raise unwritable(folder, error) from error
         yield store
 
 
-@contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder. The system drops it with the process, however that ends: no file to remove by hand."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / LOCK).open("a+", encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        raise _unwritable(folder, error) from error
-    with lock:
-        _take_lock(folder, lock)
-        try:
-            _prove_writable(folder)
-        except OSError as error:
-            raise _unwritable(folder, error) from error
-        yield
-
-
-def _unwritable(folder: Path, error: OSError | ValueError) -> StoreError:
-    return StoreError(f"cannot write to {folder}: {_reason(error)}; choose another folder with --out")
-
-
-def _take_lock(folder: Path, lock: TextIO) -> None:
-    try:
-        _lock_within(lock, LOCK_PATIENCE)
-    except BlockingIOError:
-        raise StoreError(
-            f"{folder} is in use by {_holder(lock)}; wait for it to end or choose another folder with --out"
-        ) from None
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-    lock.truncate(0)
-    lock.write(f"process {os.getpid()} on {socket.gethostname()}")
-    lock.flush()
-
-
-def _lock_within(lock: TextIO, seconds: float) -> None:
-    """Lock a file, also if somebody who asks who holds it holds it for an instant."""
-    deadline = time.monotonic() + seconds
-    while True:
-        try:
-            return fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.02)
-
-
-def _holder(lock: TextIO) -> str:
-    lock.seek(0)
-    return lock.read(200).strip() or "another process"
-
-
-def holder(folder: Path) -> str | None:
-    """Who is writing to a folder now, such as ``process 12 on host``; None if nobody is."""
-    path = folder / LOCK
-    if not path.exists():
-        return None
-    with path.open("r", encoding="utf-8") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return _holder(lock)
-    return None
-
-
-def _prove_writable(folder: Path) -> None:
+def _prove_writable(old: Path, new: Path) -> None:
     """Make the scratch folder anew, empty of what an earlier crash left, and write to it."""
-    scratch = folder / SCRATCH
-    shutil.rmtree(scratch, ignore_errors=True)
-    scratch.mkdir()
-    probe = scratch / "probe"
+    shutil.rmtree(old, ignore_errors=True)
+    new.mkdir(parents=True, exist_ok=True)
+    probe = new / "probe"
     probe.write_bytes(bytes(1))
     probe.unlink()
 
 
-def _cut_torn_line(manifest: Path) -> None:
-    """Cut off what follows the last end of line, or the next line would be glued to it."""
-    if manifest.exists():
-        content = manifest.read_bytes()
-        whole = content.rfind(b"\n") + 1
-        if whole < len(content):
-            os.truncate(manifest, whole)
+def _set_aside_lost(store: Store) -> None:
+    """Count no run whose files are gone or cut; put cut files, and files of no run, into quarantine.
+
+    A shard leaves alone what may be another's: it only counts.
+    """
+    there = dict(_dataset_files(store.folder))
+    known = store.manifest.every_file()
+    for path in _datasets_outside(store.folder):
+        raise StoreError(f"{path} leads out of {store.folder}; remove that link")
+    bad = {path: _fault(file, there.get(path)) for path, file in known.items() if there.get(path) != file.bytes}
+    store.lost += [f"{store.folder / path} {fault}; its runs are computed again" for path, fault in bad.items()]
+    for run, what in list(store.manifest.runs.items()):
+        if any(file.path in bad for file in what.files.values()):
+            store.forget(run)
+    if store.shard is None:
+        kept = store.manifest.every_file()
+        for path in there.keys() - kept.keys():
+            if OF_DATASET.fullmatch(path):
+                store.lost += [f"{store.folder / path} belongs to no run; it is in {QUARANTINE} now"] * (
+                    path not in known
+                )
+                _put_aside(store.folder, path)
 
 
-def _drop_lost(store: Store) -> None:
-    """Count no run whose files are gone or cut."""
-    for run, line in list(store.manifest.runs.items()):
-        for file in line["files"].values():
-            path = store.folder / file["path"]
-            if not path.is_file() or path.stat().st_size != file["bytes"]:
-                store.lost.append(f"{path} is missing or cut; its run is computed again")
-                store.manifest.runs.pop(run, None)
+def _fault(file: FileRecord, length: int | None) -> str:
+    return (
+        "is missing" if length is None else f"has {length:,} bytes instead of {file.bytes:,}; it is in {QUARANTINE} now"
+    )
+
+
+def _dataset_files(folder: Path) -> Iterator[tuple[str, int]]:
+    """Relative path and length of every file in the datasets."""
+    for table in COLUMNS:
+        for condition in _entries(folder / table):
+            if condition.is_dir(follow_symlinks=False):
+                for entry in _entries(Path(condition.path)):
+                    if entry.is_file():
+                        yield f"{table}/{condition.name}/{entry.name}", entry.stat().st_size
+            else:
+                yield f"{table}/{condition.name}", condition.stat(follow_symlinks=False).st_size
+
+
+def _entries(folder: Path) -> Iterable[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entries, key=lambda entry: entry.name)
+    except FileNotFoundError:
+        return ()
+
+
+def _datasets_outside(folder: Path) -> Iterator[Path]:
+    """Folders of datasets that are links: what is written there lands elsewhere."""
+    for table in COLUMNS:
+        if (folder / table).is_symlink():
+            yield folder / table
+        yield from (Path(entry.path) for entry in _entries(folder / table) if entry.is_symlink())
+
+
+def _put_aside(folder: Path, path: str) -> None:
+    """Move a file into quarantine, where nothing is read; an older one of the same name goes."""
+    aside = folder / QUARANTINE / path
+    aside.parent.mkdir(parents=True, exist_ok=True)
+    (folder / path).replace(aside)
