@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from faults.disk import without_fsync
-from faults.scenarios import SCENARIOS, Scenario
+from faults.scenarios import Scenario, all_but
 
 INJECTED: Counter[str] = Counter()
 """Faults by kind; a test adds those it has injected."""
@@ -22,7 +22,7 @@ def injected() -> Callable[[str, int], None]:
     return count
 
 
-@pytest.fixture(params=SCENARIOS, ids=lambda scenario: scenario.name)
+@pytest.fixture(params=all_but("fork by copies"))
 def scenario(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Scenario]:
     """A piece of work, prepared in the folder `origin`."""
     (tmp_path / "origin").mkdir()

@@ -153,6 +153,14 @@ def chosen(*names: str) -> list[Any]:
     return [pytest.param(scenario, id=scenario.name) for scenario in SCENARIOS if scenario.name in names]
 
 
+def all_but(*names: str) -> list[Any]:
+    """All scenarios, as parameters of a fixture; these ones only in the tests at night."""
+    return [
+        pytest.param(scenario, id=scenario.name, marks=[pytest.mark.nightly] * (scenario.name in names))
+        for scenario in SCENARIOS
+    ]
+
+
 READ: dict[tuple[FileRecord, str], bytes] = {}
 """What the reader has made of a file that the manifest told of, and of its bytes: the same again."""
 

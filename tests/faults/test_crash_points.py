@@ -72,9 +72,7 @@ def check_power_cuts(tmp_path, scenario, injected, mixed):
     injected("power cut: what was not flushed is gone, or a part of it", len(seen))
 
 
-@pytest.mark.parametrize(
-    "scenario", chosen("commit", "checkpoints", "take in shards", "fork", "recovery"), indirect=True
-)
+@pytest.mark.parametrize("scenario", chosen("commit", "checkpoints", "take in shards", "recovery"), indirect=True)
 def test_a_power_cut_at_any_call_leaves_no_wrong_row_and_loses_none(tmp_path, scenario, injected):  # CR-3
     check_power_cuts(tmp_path, scenario, injected, mixed=1)
 

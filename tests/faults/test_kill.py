@@ -74,7 +74,7 @@ def _first_run(group):
 def test_a_kill_inside_a_run_costs_one_checkpoint_interval(tmp_path, injected, epochs, kills, interval):
     sweep(children.long(epochs), tmp_path / "whole", simulate=toy)
     chance, computed = random.Random(epochs), []
-    lives = [chance.randrange(5, 2 * epochs // kills) for _ in range(kills)]  # epochs that each computes, at most
+    lives = [chance.randrange(8, epochs // kills) for _ in range(kills)]  # epochs that each computes, at most
     for number, deadly in enumerate((*lives, 0)):
         diary = tmp_path / f"diary-{number}"
         process = started(children.sweep_long, tmp_path / "results", diary, epochs, interval, deadly)
@@ -85,6 +85,7 @@ def test_a_kill_inside_a_run_costs_one_checkpoint_interval(tmp_path, injected, e
         assert process.exitcode == -9
     assert process.exitcode == 0
     deaths = len(computed) - 1
+    assert deaths == kills
     check_sound(tmp_path / "results", read(tmp_path / "whole")[0])
     lost = sum(map(len, computed)) - epochs
     if interval.epochs:

@@ -63,12 +63,12 @@ def check_no_room(tmp_path, scenario, injected, kind):
     assert all(isinstance(error, WriteError) and TOLD.fullmatch(str(error)) for error in said)
 
 
-@pytest.mark.parametrize("scenario", chosen("commit", "checkpoints", "take in shards", "fork by copies"), indirect=True)
+@pytest.mark.parametrize("scenario", chosen("commit", "checkpoints", "take in shards"), indirect=True)
 def test_a_full_disk_is_told_with_path_and_need_and_harms_nothing(tmp_path, scenario, injected):  # CR-4
     check_no_room(tmp_path, scenario, injected, "the disk is full")
 
 
-@pytest.mark.parametrize("scenario", chosen("commit", "recovery"), indirect=True)
+@pytest.mark.parametrize("scenario", chosen("commit"), indirect=True)
 def test_an_input_output_error_is_told_in_a_sentence_and_harms_nothing(tmp_path, scenario, injected):  # CR-5
     check_refusals(tmp_path, scenario, injected, "input/output error of a call")
 

@@ -6,7 +6,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import psutil
@@ -16,9 +18,11 @@ from hypothesis import strategies as st
 from study.toy import content, slow_toy, study, toy
 
 from wobblesim.config import load_config
+from wobblesim.physics.kernels import available_threads
+from wobblesim.physics.simulate import simulate
 from wobblesim.study import execute, resume
 from wobblesim.study.engines.cluster import cluster
-from wobblesim.study.engines.dispatch import Effort
+from wobblesim.study.engines.dispatch import Dispatch, Effort
 from wobblesim.study.execute import sweep
 from wobblesim.study.manifest import read_manifest
 from wobblesim.study.plan import Group
@@ -81,9 +85,17 @@ def test_two_workers_give_the_rows_of_one_process(tmp_path, whole, pair):
     assert content(tmp_path) == whole[0]
 
 
-def test_one_worker_gives_the_rows_of_one_process(tmp_path, whole):
-    sweep(study(), tmp_path, engine=cluster(1, 2, simulate=toy))
+def test_one_worker_gives_the_rows_of_one_process_on_all_processors(tmp_path, whole):
+    with cluster(1, simulate=toy) as engine:
+        assert engine.threads == available_threads()
+        assert set(engine.client.run(available_threads).values()) == {available_threads()}
+        sweep(study(), tmp_path, engine=nullcontext(engine))
     assert content(tmp_path) == whole[0]
+
+
+def test_workers_have_the_threads_they_are_given(pair):
+    assert (pair.workers, pair.threads) == (2, 1)
+    assert set(pair.client.run(available_threads).values()) == {1}
 
 
 @pytest.mark.parametrize("first", ["local", "dask"])
@@ -111,10 +123,10 @@ def test_what_one_engine_begins_another_ends(tmp_path, whole, pair, first):
     assert list((tmp_path / CHECKPOINTS).iterdir()) == []
 
 
-def test_robots_move_alike_on_workers_and_here(tmp_path):
+def test_robots_move_alike_on_workers_and_here(tmp_path, pair):
     small = load_config(ROOT / "configs/smoke.yaml", ["learning.epochs=12", "trial.duration=0.5"], "0..2")
     sweep(small, tmp_path / "here")
-    sweep(small, tmp_path / "there", engine=cluster(2, 1))
+    sweep(small, tmp_path / "there", engine=nullcontext(replace(pair, simulate=simulate)))
     assert content(tmp_path / "there") == content(tmp_path / "here")
 
 
@@ -157,6 +169,19 @@ class FakeJob:
     group = Group("fixed", (0,))
 
 
+def test_a_job_is_not_tried_again_on_the_host_that_it_was_lost_on_if_there_is_another():
+    """A host on which every worker dies must not be the end of all jobs."""
+    dispatch = Dispatch(None, toy, 1, False, SAID.append, [FakeJob()], SAID.append, bool)
+    dispatch._workers = {"tls://bad:1": 1, "tls://good:1": 1, "tls://good:2": 1}
+    (lost,) = dispatch._again = deque([dispatch._next("tls://bad:1")])
+    lost.lose("bad")
+    assert dispatch._next("tls://bad:1") is None
+    assert dispatch._next("tls://good:2") is lost
+    dispatch._again.append(lost)
+    dispatch._workers = {"tls://bad:2": 1}
+    assert dispatch._next("tls://bad:2") is lost
+
+
 # --- lost workers --------------------------------------------------------------------------------------------------
 
 
@@ -177,10 +202,10 @@ def test_a_killed_worker_costs_what_it_had_not_saved(tmp_path, whole, pair):
     assert told[-1].fraction == 1.0
     assert len(SAID) == 1
     assert "its worker was lost; it goes on from its last checkpoint" in SAID[0]
-    assert within(20, lambda: len(pids(pair)) == 2)  # measured 1.5 s
+    assert within(30, lambda: len(pids(pair)) == 2)  # measured 1.5 s
 
 
-def test_a_run_that_always_kills_its_worker_fails_after_three_and_the_others_do_not(tmp_path, whole):
+def test_a_run_that_always_kills_its_worker_fails_after_three_and_the_others_do_not(tmp_path, whole, pair):
     deaths = tmp_path / "deaths"
     deaths.mkdir()
 
@@ -191,7 +216,9 @@ def test_a_run_that_always_kills_its_worker_fails_after_three_and_the_others_do_
         return toy(body, behaviours, morphology=morphology, **settings)
 
     told = []
-    outcome = sweep(study(seeds="0"), tmp_path / "out", engine=cluster(2, 1, simulate=poison), progress=told.append)
+    outcome = sweep(
+        study(seeds="0"), tmp_path / "out", engine=nullcontext(replace(pair, simulate=poison)), progress=told.append
+    )
     assert (outcome.done, outcome.failed, outcome.stopped) == (1, 1, False)
     assert len(list(deaths.iterdir())) == 3
     (failure,) = read_manifest(tmp_path / "out").failures.values()
@@ -205,8 +232,8 @@ def test_a_run_that_always_kills_its_worker_fails_after_three_and_the_others_do_
 
 
 def test_workers_do_not_see_signals_meant_for_the_process_that_started_them(tmp_path, whole, pair):
-    before = pids(pair)
-    sent = []
+    assert within(30, lambda: len(pids(pair)) == 2)  # one may just be starting again
+    before, sent = pids(pair), []
 
     def signal_all(progress):
         if progress.kind == "epoch" and not sent:
@@ -223,6 +250,7 @@ def test_workers_do_not_see_signals_meant_for_the_process_that_started_them(tmp_
 
 SCRIPT = """
 import os, sys
+from contextlib import nullcontext
 from study.toy import slow_toy, study
 from wobblesim.commands.stopping import stop_on_signals
 from wobblesim.study.engines.cluster import cluster
@@ -233,7 +261,6 @@ def say(told):
         print("epoch", flush=True)
 
 with cluster(2, 1, simulate=slow_toy(0.1)) as engine, stop_on_signals(lambda: None, lambda: None) as stop:
-    from contextlib import nullcontext
     print(*engine.client.run(os.getpid).values(), flush=True)
     outcome = sweep(study(), sys.argv[1], engine=nullcontext(engine), progress=say, stop=stop)
 sys.exit(4 if outcome.stopped else 0)
@@ -353,12 +380,9 @@ def test_a_worker_that_cannot_write_ends_the_sweep_and_the_others_save_what_they
     assert content(tmp_path) == whole[0]
 
 
-def test_a_task_that_workers_cannot_load_is_refused_in_one_sentence(tmp_path):
-    with (
-        pytest.raises(StoreError, match=r"^the worker tls://127\.0\.0\.1:\d+ cannot compute \(.*no_such_module"),
-        cluster(1, 1, simulate=Unloadable()) as engine,
-    ):
-        sweep(study(), tmp_path, engine=nullcontext(engine))
+def test_a_task_that_workers_cannot_load_is_refused_in_one_sentence(tmp_path, pair):
+    with pytest.raises(StoreError, match=r"^the worker tls://127\.0\.0\.1:\d+ cannot compute \(.*no_such_module"):
+        sweep(study(), tmp_path, engine=nullcontext(replace(pair, simulate=Unloadable())))
 
 
 class Unloadable:
@@ -369,18 +393,7 @@ class Unloadable:
         return __import__, ("no_such_module",)
 
 
-# --- threads and kernels -------------------------------------------------------------------------------------------
-
-
-def test_workers_share_the_processors(monkeypatch):
-    from wobblesim.physics.kernels import available_threads
-
-    with cluster(1) as engine:
-        assert engine.threads == available_threads()
-        assert set(engine.client.run(available_threads).values()) == {available_threads()}
-    with cluster(2, 3) as engine:
-        assert (engine.workers, engine.threads) == (2, 3)
-        assert set(engine.client.run(available_threads).values()) == {3}
+# --- kernels -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.nightly

@@ -96,7 +96,7 @@ def expect_rows_of_one_process(place):
 
 
 def test_the_job_array_goes_on_after_its_time_is_up(place):
-    (place / "study.yaml").write_text(STUDY % 3000)
+    (place / "study.yaml").write_text(STUDY % 1500)
     script = block("slurm.md", "bash", "--array")
     smaller = {"--array=1-8": "--array=1-2", "--cpus-per-task=16": "--cpus-per-task=1"}
     (place / "array.sh").write_text(changed(script, smaller))
@@ -120,7 +120,7 @@ def test_worker_jobs_compute_a_study_with_certificates(place):
     smaller = {"ib0": "lo", "cores=16": "cores=1", "=8, max": "=2, max", "jobs=8)": "jobs=2)", '="/tmp"': '="node"',
                "NUMBA_CACHE_DIR=/tmp": "NUMBA_CACHE_DIR=$SLURM_TMPDIR", "THREADS=16": "THREADS=1"}  # fmt: skip
     (place / "workers.py").write_text(changed(block("slurm.md", "python", "SLURMCluster"), smaller))
-    done = subprocess.run([sys.executable, "workers.py"], capture_output=True, text=True, timeout=180, check=False)
+    done = subprocess.run([sys.executable, "workers.py"], check=False, capture_output=True, text=True, timeout=180)
     assert done.returncode == 0, done.stderr
     assert "done=8, failed=0, stopped=False" in done.stdout
     scripts = [path.read_text() for path in (place / "slurm").glob("*.sh")]

@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from distributed import LocalCluster, Security
+from study.test_cluster import within
 from study.toy import content, slow_toy, study, toy
 
 from wobblesim.study.engines import cluster as module
@@ -242,6 +243,72 @@ def test_a_sweep_on_a_cluster_with_certificates(tmp_path, authorities):
         refused(scheduler, "one side .*", certificates=authorities[1].certificates("client"))
     sweep(study(), tmp_path / "here", simulate=toy)
     assert content(tmp_path / "there") == content(tmp_path / "here")
+
+
+@pytest.mark.nightly
+def test_a_scheduler_that_dies_ends_the_sweep_with_a_sentence_and_nothing_is_lost(tmp_path, authorities):
+    client, shot = authorities[0].certificates("client"), []
+    with sweeping(authorities[0], tmp_path) as scheduler:
+
+        def shoot(told):
+            if told.kind == "epoch" and not shot:
+                shot.append(time.monotonic())
+                os.kill(listener(scheduler), signal.SIGKILL)
+
+        with (
+            pytest.raises(
+                StoreError, match=r"^the scheduler is gone; what is stored is safe, and the same command goes"
+            ),
+            cluster(2, scheduler=scheduler, certificates=client, simulate=slow_toy(0.2)) as engine,
+        ):
+            sweep(study(), tmp_path / "there", engine=nullcontext(engine), progress=shoot)
+    assert time.monotonic() - shot[0] < 45  # measured 10.3 s
+    sweep(study(), tmp_path / "there", simulate=toy)
+    sweep(study(), tmp_path / "here", simulate=toy)
+    assert content(tmp_path / "there") == content(tmp_path / "here")
+
+
+@pytest.mark.nightly
+def test_workers_elsewhere_drop_the_jobs_of_a_sweep_that_is_gone(tmp_path, authorities):
+    calls = tmp_path / "calls"
+    script = f"""
+import sys, time
+from pathlib import Path
+from study.toy import study, toy
+from wobblesim.study.engines.cluster import Certificates, cluster
+from wobblesim.study.execute import sweep
+
+def task(*arguments, **options):
+    with Path({str(calls)!r}).open("a") as file:
+        file.write("called ")
+    time.sleep(0.2)
+    return toy(*arguments, **options)
+
+engine = cluster(2, scheduler=sys.argv[1], certificates=Certificates(*sys.argv[2:5]), simulate=task)
+sweep(study("learning.epochs=300"), sys.argv[5], engine=engine)
+"""
+    mine = authorities[0].certificates("client")
+    with sweeping(authorities[0], tmp_path) as scheduler:
+        process = subprocess.Popen(
+            [sys.executable, "-c", script, scheduler, *map(str, vars(mine).values()), tmp_path / "out"],
+            env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"},
+        )
+        assert within(60, calls.exists)
+        process.kill()
+        process.wait()
+        time.sleep(3)
+        some = calls.read_text()
+        time.sleep(2)  # ten epochs
+        assert calls.read_text() == some
+
+
+def listener(scheduler):
+    """The process that listens at an address."""
+    port = int(scheduler.rpartition(":")[2])
+    (found,) = {
+        each.pid for each in psutil.net_connections("tcp") if each.laddr.port == port and each.status == "LISTEN"
+    }
+    return found
 
 
 @contextmanager

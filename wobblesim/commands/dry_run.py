@@ -26,9 +26,7 @@ Timed just now, as busy as the machine is. On a busy one, 18 sweeps took 0.6 to 
 Trials that need a smaller step are tried again, which comes on top; so do the start and the picture."""
 
 
-def show(
-    config: SweepConfig, folder: Path, as_json: bool, threads: int | None, workers: int | None, shard: Shard | None
-) -> None:
+def show(config: SweepConfig, folder: Path, as_json: bool, threads: int, workers: int, shard: Shard | None) -> None:
     """Print what a sweep, or a shard of it, would compute, and what that takes; nothing is written.
 
     Parameters
@@ -37,17 +35,15 @@ def show(
     folder : Path
         Of the results.
     as_json : bool
-    threads, workers : int or None
-        As given to the sweep; None is its default.
+    threads, workers : int
+        Workers, and threads of each.
     shard : Shard or None
     """
     from wobblesim.config import columns
     from wobblesim.numerics.probe import forecast
-    from wobblesim.physics.kernels import available_threads, is_warm
+    from wobblesim.physics.kernels import is_warm
     from wobblesim.study.preview import preview
 
-    workers = workers or 1
-    threads = threads or max(1, available_threads() // workers)
     seen = preview(config, folder, shard, workers, threads)
     if seen.plan and not is_warm():
         click.echo("compiling kernels, to time them: some seconds", err=True)

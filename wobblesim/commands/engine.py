@@ -56,6 +56,13 @@ class EngineChoice:
             )
         )
 
+    def layout(self) -> tuple[int, int]:
+        """Workers, and threads of each, that a sweep on this machine would have."""
+        from wobblesim.physics.kernels import available_threads
+
+        workers = self.workers or (available_threads() if self.engine == "dask" else 1)
+        return workers, self.threads or max(1, available_threads() // workers)
+
     def check(self) -> None:
         """Refuse options that mean nothing together.
 

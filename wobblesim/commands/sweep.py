@@ -98,7 +98,8 @@ def command(
     if dry_run:
         from wobblesim.commands.dry_run import show
 
-        show(loaded, fork or home, as_json, engine.threads, engine.workers, part)
+        workers, threads = engine.layout()
+        show(loaded, fork or home, as_json, threads, workers, part)
         return
     options = {"checkpoint": Interval(checkpoint_seconds, checkpoint_epochs), "shard": part}
     outcome = _run(loaded, fork or home, engine, progress, fork_of=home if fork else None, **options)

@@ -33,7 +33,8 @@ if TYPE_CHECKING:  # `wobblesim status` need not wait for the simulator to be im
     from wobblesim.study.rows import Columns
 
 LEARNER = "learner."
-UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+# RuntimeError: what zipfile says of a flag that it does not know, as a flipped bit may set one.
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)

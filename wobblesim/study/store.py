@@ -229,10 +229,6 @@ class Store:
         """Note that runs came to no result, and why; the same command tries them again."""
         self._append([{"kind": "failure", "condition": condition, "seeds": list(seeds), "error": error}])
 
-    def compacted(self, line: Mapping[str, Any]) -> None:
-        """Let the runs of a condition be in other files than before, which are in their places already."""
-        self._append([line])
-
     def _append(self, lines: Sequence[Mapping[str, Any]]) -> None:
         if lines:
             if self._writer is None:

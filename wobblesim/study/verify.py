@@ -418,8 +418,5 @@ def _of_checkpoints(folder: Path) -> Iterator[Finding]:
 
 def _readable(folder: Path, condition: str) -> int:
     """How many checkpoints of a condition can be read."""
-    try:
-        heads = resume.standing(folder, condition)
-        return sum(resume.load(folder, head.group, head.identity) is not None for head in heads)
-    except RuntimeError:  # a flipped bit can make an archive look encrypted, or of a kind that is not supported
-        return 0
+    heads = resume.standing(folder, condition)
+    return sum(resume.load(folder, head.group, head.identity) is not None for head in heads)

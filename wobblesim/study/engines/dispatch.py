@@ -44,6 +44,9 @@ STOP_PATIENCE = 600.0
 """s without a sign of any job, after which stopped ones are given up: an epoch of a big robot takes its time."""
 
 
+GONE = "the scheduler is gone; what is stored is safe, and the same command goes on"
+
+
 def threads_of(client: Client) -> dict[str, int]:
     """The workers there are, by address, and the threads that each was started with."""
     found: Any = client.nthreads()
@@ -171,10 +174,10 @@ class Dispatch:
         with self._watched():
             while self._goes_on():
                 self._listen()
+                self._check_company()
                 receipts = [*self._landed(), *self._lost()]
                 self._launch()  # before the caller takes its time to store what has landed
                 yield from receipts
-                self._check_company()
         if self._failure:
             raise self._failure
 
@@ -215,16 +218,13 @@ class Dispatch:
 
     def _send(self, effort: Effort, worker: str, threads: int) -> None:
         key = f"{self._topic}-{uuid.uuid4().hex}"
-        future = self.client.submit(
-            compute_here,
-            effort.job,
-            self._topic,
-            threads,
-            self.simulate,
-            key=key,
-            pure=False,
-            workers=[worker],
-        )
+        arguments = effort.job, self._topic, threads, self.simulate
+        try:
+            future = self.client.submit(compute_here, *arguments, key=key, pure=False, workers=[worker])
+        except Exception as error:
+            if self.client.status == "closed":
+                raise StoreError(GONE) from error
+            raise
         self._flights[key] = Flight(effort, worker, future)
         future.add_done_callback(lambda _: self._inbox.put(None))
 
@@ -312,7 +312,7 @@ class Dispatch:
         """
         now = time.monotonic()
         if self.client.status == "closed":
-            raise StoreError("the scheduler is gone; what is stored is safe, and the same command goes on")
+            raise StoreError(GONE)
         if self._workers:
             self._last_seen = now
         elif self.is_local and now - self._last_seen > LONE_PATIENCE:
@@ -336,7 +336,7 @@ class Dispatch:
             self._look.set()
             for flight in self._flights.values():
                 flight.future.release()
-            with suppress(ValueError):  # there is no scheduler any more
+            with suppress(Exception):  # there is no scheduler any more
                 self.client.unsubscribe_topic(self._topic)
 
     def _watch(self) -> None:
