@@ -202,7 +202,7 @@ def test_a_killed_worker_costs_what_it_had_not_saved(tmp_path, whole, pair):
     assert told[-1].fraction == 1.0
     assert len(SAID) == 1
     assert "its worker was lost; it goes on from its last checkpoint" in SAID[0]
-    assert within(30, lambda: len(pids(pair)) == 2)  # measured 1.5 s
+    assert within(30, lambda: len(pids(pair)) == 2)
 
 
 def test_a_run_that_always_kills_its_worker_fails_after_three_and_the_others_do_not(tmp_path, whole, pair):
@@ -297,7 +297,7 @@ def test_workers_end_with_the_process_that_started_them_and_its_work_goes_on(tmp
     process, workers = alone
     assert len(workers) == 2
     process.kill()
-    assert within(5, lambda: gone(workers))  # measured 0.1 s
+    assert within(5, lambda: gone(workers))
     sweep(study(), tmp_path / "out", simulate=toy)
     assert content(tmp_path / "out") == whole[0]
 
@@ -308,7 +308,7 @@ def test_ctrl_c_in_a_terminal_stops_with_checkpoints_and_leaves_nothing_behind(t
     asked = time.monotonic()
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 4
-    assert time.monotonic() - asked < 10  # measured 1.3 s
+    assert time.monotonic() - asked < 10
     assert errors == ""
     assert gone(workers)
     assert [*(tmp_path / "here").iterdir(), *(tmp_path / "scratch").iterdir()] == []
@@ -353,7 +353,7 @@ def test_a_sweep_survives_two_minutes_of_dying_workers(tmp_path):
         finally:
             over.set()
             killer.join()
-    assert len(killed) >= 12  # measured 18 on a busy machine; some moments have no worker to kill
+    assert len(killed) >= 12  # measured 28
     assert (outcome.done, outcome.failed, outcome.stopped) == (80, 40, False)
     assert {condition for condition, _ in read_manifest(tmp_path / "out").failures} == {"poison"}
     assert told[-1].fraction == 1.0

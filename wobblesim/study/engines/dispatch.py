@@ -197,11 +197,9 @@ class Dispatch:
                 continue
             if self._stopping or (self._flights and not self._compiled):
                 break
-            effort = self._next(worker)
-            if effort is None:
-                break
-            self._send(effort, worker, self.threads or threads)
-            launched = True
+            if effort := self._next(worker):
+                self._send(effort, worker, self.threads or threads)
+                launched = True
         return launched
 
     def _next(self, worker: str) -> Effort | None:
@@ -209,7 +207,7 @@ class Dispatch:
 
         A host on which every worker dies is free more often than any other: it would be the end of all jobs.
         """
-        hosts = {host_of(worker) for worker in self._workers}
+        hosts = {host_of(worker) for worker in self._workers} if self._again else set()
         for effort in self._again:
             if host_of(worker) not in effort.hosts or hosts <= effort.hosts:
                 self._again.remove(effort)
