@@ -1,8 +1,10 @@
 """Processes are killed with signal 9 at any time, beside each other and one after the other."""
 
+import fcntl
 import itertools
 import random
 import shutil
+import threading
 import time
 
 import pytest
@@ -158,6 +160,21 @@ def test_shards_work_beside_each_other_and_never_twice_on_the_same(tmp_path, hol
     with opened(folder, Shard(2, 3), "this"):
         pass
     injected("second process in a folder", 5)
+
+
+def test_a_shard_that_has_not_signed_its_lock_yet_is_no_stranger(tmp_path):
+    """Jobs of an array start at the same moment."""
+    for left in ("", "process 1 on host\nanother study"):
+        folder = tmp_path / f"results-{len(left)}"
+        with opened(folder, Shard(1, 3), "this"):
+            pass
+        path = folder / ".lock-1-of-3"
+        path.write_text(left)
+        with path.open("r+", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            threading.Timer(0.1, path.write_text, ("process 2 on host\nthis",)).start()
+            with opened(folder, Shard(2, 3), "this") as store:
+                assert store.shard == Shard(2, 3)
 
 
 # --- CR-7: many at once --------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """A million runs are planned, and ten thousand stored, without anyone waiting for it."""
 
+import gc
 import json
 import os
 import subprocess
@@ -137,9 +138,12 @@ def full(tmp_path_factory):
 
 
 def test_a_folder_of_ten_thousand_runs_opens_in_a_second(full):
+    gc.freeze()  # the collector would go through all that the tests before have left, which takes longer than opening
     begun = time.process_time()
     with opened(full) as held:
-        assert time.process_time() - begun < 1  # measured 0.37
+        seconds = time.process_time() - begun
+        gc.unfreeze()
+        assert seconds < 1  # measured 0.37
         assert len(held.manifest.runs) == 10_000
         assert held.lost == []
 

@@ -133,13 +133,28 @@ def _lock_within(lock: TextIO, kind: int, seconds: float) -> None:
 
 
 def _refuse_strangers(folder: Path, shard: Shard, study: str) -> None:
-    """Refuse to work beside shards that deal the runs out in another way, lest two compute the same run."""
-    for name, (who, theirs) in _held_locks(folder).items():
-        if name.startswith(f"{LOCK}-") and (not name.endswith(f"-of-{shard.count}") or theirs != study):
+    """Refuse to work beside shards that deal the runs out in another way, lest two compute the same run.
+
+    Who has just taken a lock has not signed it yet: what an earlier holder has left in it is not held against it.
+    """
+    deadline = time.monotonic() + LOCK_PATIENCE
+    while strangers := _strangers(folder, shard, study):
+        if time.monotonic() > deadline:
+            name, who = strangers[0]
             raise StoreError(
                 f"{folder} is in use by the shard {name.removeprefix(f'{LOCK}-')} ({who}) of another study or number "
                 "of shards; wait for it to end, or give the same study and number of shards"
             )
+        time.sleep(0.02)
+
+
+def _strangers(folder: Path, shard: Shard, study: str) -> list[tuple[str, str]]:
+    """Locks of shards of another study or number, and who holds them."""
+    return [
+        (name, who)
+        for name, (who, theirs) in _held_locks(folder).items()
+        if name.startswith(f"{LOCK}-") and (not name.endswith(f"-of-{shard.count}") or theirs != study)
+    ]
 
 
 def _held_locks(folder: Path) -> dict[str, tuple[str, str]]:
