@@ -38,7 +38,7 @@ def test_kill_9_at_random_times_loses_nothing_and_redoes_one_group(tmp_path, hun
         while True:
             diary = tmp_path / f"diary-{next(diaries)}"
             process = started(children.sweep_hundred, folder, diary)
-            process.join(chance.uniform(0.05, 0.8))
+            process.join(chance.uniform(0.05, 0.4))
             was_killed = process.is_alive()
             process.kill()
             process.join()
