@@ -305,7 +305,7 @@ def test_death_at_any_call_loses_nothing_and_doubles_nothing(small, tmp_path):
             compact(tmp_path / "whole")
         assert rows_by_run(tmp_path / "whole") == wanted
         points = [number for number, call in enumerate(whole.tried, 1) if call.kind != "read"]
-        assert len(points) > 40  # measured 66
+        assert len(points) > 30  # measured 40 to 66: the number of writes goes with the length of the files
         for point in points:
             shutil.copytree(small, folder)
             with Disk(folder, die_at(point)), pytest.raises(Death):

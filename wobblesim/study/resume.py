@@ -27,6 +27,7 @@ from wobblesim.study.errors import not_written
 from wobblesim.study.files import write_atomically
 from wobblesim.study.group import Group
 from wobblesim.study.manifest import RunKey
+from wobblesim.study.schema import SCHEMA_VERSION
 from wobblesim.study.store import CHECKPOINTS
 
 if TYPE_CHECKING:  # `wobblesim status` need not wait for the simulator to be imported
@@ -64,8 +65,11 @@ class Checkpoint:
 
 
 def identity(condition: Mapping[str, Any]) -> str:
-    """Hash of what a condition is, as the manifest has it: a checkpoint of another one is of no use."""
-    return hashlib.sha256(json.dumps(condition, sort_keys=True).encode()).hexdigest()
+    """Hash of what a condition is, as the manifest has it, and of the version of the tables.
+
+    A checkpoint of another condition is of no use, nor is one that lacks what the tables need.
+    """
+    return hashlib.sha256(json.dumps([SCHEMA_VERSION, condition], sort_keys=True).encode()).hexdigest()
 
 
 def save(

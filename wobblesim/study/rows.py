@@ -14,6 +14,9 @@ from wobblesim.study.schema import TABLES_OF_LOG, table
 
 Columns = dict[str, np.ndarray]
 
+FINAL = "runs.genotype"
+"""The best behaviour of the last epoch, which a part of a log ends with: (1, S, 2G)."""
+
 OF_TRIALS = ("parent", "performance", "status", "dt", "bound", "limited", "diverged_at", "reused")
 
 STATUSES = ("ok", "limited", "refined", "diverged")
@@ -23,7 +26,7 @@ class Log:
     """The epochs of a group of runs, S seeds in lockstep, P slots each.
 
     Columns are kept as arrays (epochs, S, ...) under the name ``table.column``, so that they can go to a checkpoint
-    and come back as they are.
+    and come back as they are; of `FINAL` there is one row a part.
 
     Parameters
     ----------
@@ -44,6 +47,7 @@ class Log:
 
     def _columns(self, epoch: Epoch) -> Columns:
         columns = {f"epochs.{name}": value for name, value in _epoch_columns(epoch).items()}
+        columns[FINAL] = epoch.behaviours[np.arange(len(epoch.best)), epoch.best]
         if "trials" in self.tables:
             columns |= {f"trials.{name}": getattr(epoch, name) for name in OF_TRIALS}
         if "behaviours" in self.tables:
@@ -60,6 +64,7 @@ class Log:
         if not self._fresh:
             return {}
         part = {name: np.stack([columns[name] for columns in self._fresh]) for name in self._fresh[0]}
+        part[FINAL] = part[FINAL][-1:]
         self._parts.append(part)
         self._fresh = []
         return part
@@ -69,7 +74,7 @@ class Log:
         self._parts = list(parts)
 
     def columns(self) -> Columns:
-        """All epochs so far, (epochs, S, ...) each."""
+        """All epochs so far, (epochs, S, ...) each, and of `FINAL` one row a part."""
         self.cut()
         return {name: np.concatenate([part[name] for part in self._parts]) for name in self._parts[0]}
 
@@ -149,4 +154,5 @@ def _summary(mine: Columns, seconds: float) -> dict[str, Any]:
         "trials": sum(counts[status] for status in STATUSES),
         **{name: counts[name] for name in ("diverged", "refined", "limited", "reused")},
         "seconds": seconds,
+        "genotype": mine[FINAL][-1:],
     }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 TABLES_OF_LOG = {
     "epochs": ("epochs",),
@@ -134,11 +134,15 @@ COLUMNS: dict[str, dict[str, pa.DataType]] = {
 }
 
 
+WITH_GENOTYPE = ("runs", "behaviours")
+"""Tables whose last column is a genotype: of each trial, or of the best behaviour of the last epoch."""
+
+
 @cache
 def schema(table: str, genes: int = 0) -> pa.Schema:
     """Columns of a table, in order; `genes` is the length of a genotype."""
     columns = dict(COLUMNS[table])
-    if table == "behaviours":
+    if table in WITH_GENOTYPE:
         columns["genotype"] = pa.list_(pa.float64(), genes)
     return pa.schema(list(columns.items()))
 
@@ -159,7 +163,7 @@ def table(name: str, columns: Mapping[str, Any]) -> pa.Table:
     A column that is one value instead of an array holds it in every row; if all are, there is one row.
     """
     rows = max((len(column) for column in columns.values() if isinstance(column, np.ndarray)), default=1)
-    target = schema(name, columns["genotype"].shape[1] if name == "behaviours" else 0)
+    target = schema(name, columns["genotype"].shape[1] if name in WITH_GENOTYPE else 0)
     arrays = [_array(columns.get(key), rows, kind) for key, kind in zip(target.names, target.types, strict=True)]
     return pa.Table.from_arrays(arrays, schema=target)
 

@@ -29,7 +29,7 @@ from wobblesim.study.errors import StoreError, first_line, reason
 from wobblesim.study.files import FileRecord, about_of, damage, read_about
 from wobblesim.study.lock import writers
 from wobblesim.study.manifest import MANIFEST, OF_DATASET, Manifest, Run, RunKey, manifests, read_manifest, told
-from wobblesim.study.schema import COLUMNS, SCHEMA_VERSION, TABLES_OF_LOG, schema
+from wobblesim.study.schema import COLUMNS, SCHEMA_VERSION, TABLES_OF_LOG, WITH_GENOTYPE, schema
 from wobblesim.study.store import CHECKPOINTS, CONFIG
 
 PATIENCE = 5.0
@@ -341,7 +341,7 @@ def _fault_of_columns(parquet: pq.ParquetFile, it: Expected) -> str | None:
     if parquet.metadata.num_rows != it.file.rows:
         return f"has {parquet.metadata.num_rows:,} rows where the manifest says {it.file.rows:,}"
     columns = parquet.schema_arrow.remove_metadata()
-    genes = columns.field("genotype").type.list_size if it.table == "behaviours" else 0
+    genes = columns.field("genotype").type.list_size if it.table in WITH_GENOTYPE else 0
     if not columns.equals(schema(it.table, genes)):
         return f"has other columns than tables of version {SCHEMA_VERSION} have"
     return None
