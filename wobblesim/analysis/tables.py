@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
+import pyarrow as pa
 
+from wobblesim.analysis import lineage
 from wobblesim.study.errors import StoreError
 from wobblesim.study.files import read_tables
 from wobblesim.study.manifest import Manifest, manifests, read_manifest
+
+MOST_NAMES = 8
+"""Conditions that a message lists."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,30 @@ class Results:
         used = {condition for condition, _ in self.manifest.runs}
         return [condition for condition in self.manifest.conditions if condition in used]
 
+    def seeds(self, condition: str | None = None) -> list[int]:
+        """Seeds of the runs of a condition, or of all, in order."""
+        return sorted({seed for name, seed in self.manifest.runs if condition in (None, name)})
+
+    def require(self, condition: str | None = None, seed: int | None = None) -> None:
+        """Refuse a condition, a seed, or a run of both, that is not there, with the nearest one that is.
+
+        Raises
+        ------
+        StoreError
+            If there is no finished run of the condition, or none with that seed.
+        """
+        if condition is not None and condition not in self.manifest.conditions:
+            raise StoreError(f"{self.folder} has no condition {condition!r}; {_nearest(condition, self.conditions)}")
+        seeds = self.seeds(condition)
+        if not seeds:
+            raise StoreError(
+                f"{self.folder} has no finished run of {condition} yet; give the sweep command again to go on"
+            )
+        if seed is not None and seed not in seeds:
+            nearest = min(seeds, key=lambda known: abs(known - seed))
+            of = "" if condition is None else f" of {condition}"
+            raise StoreError(f"{self.folder} has no run{of} with seed {seed}; the nearest is {nearest}")
+
     def runs(self, *columns: str) -> pd.DataFrame:
         """One row a run: result and settings."""
         return self._read("runs", columns)
@@ -51,16 +82,77 @@ class Results:
         """One row a trial, with its genotype (amplitudes, then offsets in turns); only where `log` asked for it."""
         return self._read("behaviours", columns)
 
-    def _read(self, table: str, columns: tuple[str, ...]) -> pd.DataFrame:
-        files = self.manifest.files(table)
-        if not files:
-            raise StoreError(
-                f"{self.folder} has no {table}; set `log: {table}` in the configuration and run it into another folder"
-            )
-        frame = read_tables(self.folder, files, list(columns) or None).unify_dictionaries().to_pandas()
+    def lineage(self, *columns: str, condition: str | None = None, seed: int | None = None) -> pd.DataFrame:
+        """One row for each behaviour that was the best of its epoch, or is an ancestor of one that was.
+
+        Parameters
+        ----------
+        *columns : str
+            Of ``condition``, ``seed``, ``epoch``, ``slot``, ``parent``, ``performance``, ``status``; ``best``: whether
+            it was the best of its epoch; ``final``: whether it is the best of the last epoch or an ancestor of it;
+            ``genotype``; ``modification``: Euclidean distance from the parent's genotype, 0 in epoch 0; ``path``: sum
+            of the modifications from its ancestor in epoch 0 to it. The last three take stored behaviours. Without
+            columns, all that the results have.
+        condition, seed : optional
+            Only these runs; files of others stay closed.
+
+        Returns
+        -------
+        DataFrame
+            Of runs whose `log` kept what the columns need.
+
+        Raises
+        ------
+        StoreError
+            If there is no such run, or no such column.
+        """
+        return lineage.lineage(self, columns, condition, seed)
+
+    def ancestors(self, condition: str, seed: int, epoch: int | None = None, slot: int | None = None) -> pd.DataFrame:
+        """The ancestry of a behaviour: one row for each epoch from 0 to its own, columns as of `lineage`.
+
+        Parameters
+        ----------
+        condition : str
+        seed : int
+        epoch : int, optional
+            Without it, the last.
+        slot : int, optional
+            Without it, that of the best of the epoch.
+
+        Raises
+        ------
+        StoreError
+            If there is no such run, epoch or slot, or if the run's `log` did not keep trials.
+        """
+        return lineage.ancestors(self, condition, seed, epoch, slot)
+
+    def frame(self, table: pa.Table) -> pd.DataFrame:
+        """Rows of a stored table as a frame, `condition` an ordered categorical."""
+        frame = table.unify_dictionaries().to_pandas()
         if "condition" in frame:
             frame["condition"] = pd.Categorical(frame["condition"].astype(str), self.conditions, ordered=True)
         return frame
+
+    def lacking(self, table: str) -> StoreError:
+        """What to tell of a table that was not kept."""
+        return StoreError(
+            f"{self.folder} has no {table}; set `log: {table}` in the configuration and run it into another folder"
+        )
+
+    def _read(self, table: str, columns: tuple[str, ...]) -> pd.DataFrame:
+        files = self.manifest.files(table)
+        if not files:
+            raise self.lacking(table)
+        return self.frame(read_tables(self.folder, files, list(columns) or None))
+
+
+def _nearest(name: str, names: Sequence[str]) -> str:
+    """The name that was meant, or else all there are, as the end of a sentence."""
+    if close := difflib.get_close_matches(name, names, n=1):
+        return f"did you mean {close[0]}?"
+    others = f" and {len(names) - MOST_NAMES:,} more" if len(names) > MOST_NAMES else ""
+    return f"it has {', '.join(names[:MOST_NAMES])}{others}"
 
 
 def load(folder: str | Path) -> Results:
