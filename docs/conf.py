@@ -16,7 +16,7 @@ copyright = "2026, wobblesim developers"
 release = metadata.version("wobblesim")
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
@@ -25,6 +25,7 @@ extensions = [
 exclude_patterns = ["_build", "_generated"]
 myst_enable_extensions = ["amsmath", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+nb_execution_mode = "off"  # the notebook comes with what it gave; a test of the night runs it
 
 autodoc_typehints = "none"  # the NumPy-style docstrings give types, shapes and units
 autodoc_member_order = "bysource"
