@@ -6,6 +6,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from wobblesim.analysis.comparison import compare as compare
+    from wobblesim.analysis.figures.registry import Choice as Choice
+    from wobblesim.analysis.figures.registry import draw as draw
+    from wobblesim.analysis.tables import load as load
     from wobblesim.config.load import load_config as load_config
     from wobblesim.physics.registry import INTEGRATORS as INTEGRATORS
     from wobblesim.physics.scene import Floor as Floor
@@ -18,12 +22,15 @@ if TYPE_CHECKING:
     from wobblesim.robot.morphology import Morphology as Morphology
     from wobblesim.robot.starfish import starfish as starfish
     from wobblesim.study.execute import sweep as sweep
+    from wobblesim.viewing.replay import replay as replay
+    from wobblesim.viewing.report import report as report
 
 __version__ = "0.1.0"
 
 # Imported when first used, so that `wobblesim --help` need not wait for Numba.
 _HOME = {
     "Body": "robot.body",
+    "Choice": "analysis.figures.registry",
     "Floor": "physics.scene",
     "Gait": "robot.gait",
     "INTEGRATORS": "physics.registry",
@@ -31,7 +38,12 @@ _HOME = {
     "Physics": "physics.scene",
     "Scene": "physics.scene",
     "Trials": "physics.simulate",
+    "compare": "analysis.comparison",
+    "draw": "analysis.figures.registry",
+    "load": "analysis.tables",
     "load_config": "config.load",
+    "replay": "viewing.replay",
+    "report": "viewing.report",
     "simulate": "physics.simulate",
     "starfish": "robot.starfish",
     "sweep": "study.execute",
