@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from study.toy import study, toy
+from study.toy import outcome, study, toy
 
-from wobblesim.analysis.figures.learning import DASHES, OKABE_ITO, _spread, _stride, curves, learning_curves, save
+from wobblesim.analysis.figures.learning import _stride, curves
+from wobblesim.analysis.figures.registry import Choice, draw
 from wobblesim.analysis.statistics import mean_of
 from wobblesim.analysis.tables import load
 from wobblesim.study.execute import sweep
@@ -33,7 +34,7 @@ def test_a_curve_is_the_mean_over_the_runs_of_the_best_trial_of_each_epoch(tmp_p
 
 
 def test_the_picture_names_its_axes_its_curves_and_the_end_of_the_wobble(tmp_path):
-    figure = learning_curves(results_of(tmp_path, "trial.duration=45"))
+    figure = draw("figure-2b", results_of(tmp_path, "trial.duration=45")).figure
     axes = figure.axes[0]
     assert axes.get_xlabel() == "epoch"
     assert axes.get_ylabel() == "best trial of the epoch\n(body lengths in 45 s)"
@@ -44,13 +45,13 @@ def test_the_picture_names_its_axes_its_curves_and_the_end_of_the_wobble(tmp_pat
 
 
 def test_one_run_has_no_band_and_does_not_claim_one(tmp_path):
-    axes = learning_curves(results_of(tmp_path, seeds="1")).axes[0]
+    axes = draw("figure-2b", results_of(tmp_path, seeds="1")).figure.axes[0]
     assert axes.get_title(loc="left") == "mean of 1 run a condition"
 
 
 def test_wobbles_that_end_at_different_epochs_have_a_ring_each(tmp_path):
     results = results_of(tmp_path, "conditions.longer={wobble: {dimension: mass, amplitude: 0.2, period: 5, end: 9}}")
-    figure = learning_curves(results)
+    figure = draw("figure-2b", results).figure
     rings = [line.get_xdata()[0] for line in figure.axes[0].get_lines() if line.get_marker() == "o"]
     assert rings == [6, 9]
     assert "wobble ends" not in texts(figure)
@@ -58,22 +59,10 @@ def test_wobbles_that_end_at_different_epochs_have_a_ring_each(tmp_path):
 
 def test_many_conditions_have_a_legend_and_no_two_look_alike(tmp_path):
     thetas = ",".join(f"0.{k}" for k in range(61, 73))
-    axes = learning_curves(results_of(tmp_path, f"sweep.physics.theta={thetas}", seeds="0")).axes[0]
+    axes = draw("figure-2b", results_of(tmp_path, f"sweep.physics.theta={thetas}", seeds="0")).figure.axes[0]
     looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:14]]
     assert len(set(looks)) == 14
     assert len(axes.get_legend().get_texts()) == 14
-
-
-def test_a_picture_is_a_png_of_a_size_for_a_page(tmp_path):
-    path = tmp_path / "curve.png"
-    save(learning_curves(results_of(tmp_path / "results")), path)
-    assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert int.from_bytes(path.read_bytes()[16:20]) >= 800
-
-
-def test_the_colours_differ_also_in_grey_or_by_their_dashes():
-    assert len(set(OKABE_ITO)) == 8
-    assert len(set(DASHES)) == 4
 
 
 @pytest.mark.parametrize(
@@ -91,6 +80,49 @@ def test_a_point_is_a_whole_number_of_periods_where_these_are_short(epochs, peri
     assert _stride(epochs, np.array(periods)) == stride
 
 
-def test_labels_keep_their_order_and_a_distance_and_move_no_more_than_needed():
-    moved = _spread([1.0, 1.0, 5.0, 1.1], 0.5)
-    assert moved == pytest.approx([1 - 0.5 + 0.1 / 3, 1 + 0.1 / 3, 5.0, 1.5 + 0.1 / 3])
+def test_the_table_has_each_point_and_its_band(tmp_path):
+    results = results_of(tmp_path)
+    drawing = draw("figure-2b", results)
+    (fixed, mass), _ = curves(results)
+    table = drawing.table.set_index("condition")
+    for curve in (fixed, mass):
+        mine = table.loc[curve.condition]
+        assert mine["epoch"].tolist() == curve.epoch.tolist()
+        assert mine["mean"].tolist() == curve.best.mean.tolist()
+        assert mine["high"].tolist() == (curve.best.mean + curve.best.half_width).tolist()
+        assert mine["n"].tolist() == curve.best.n.tolist() == [4] * 12
+    assert set(table["epochs"]) == {1}
+    lines = {line.get_label(): list(line.get_ydata()) for line in drawing.figure.axes[0].lines}
+    assert lines["mass"] == table.loc["mass", "mean"].tolist()
+
+
+def test_with_many_epochs_the_table_has_the_thick_and_the_thin_line(tmp_path):
+    results = results_of(tmp_path, "learning.epochs=401", seeds="0..1")
+    drawing = draw("figure-2b", results)
+    for condition, mine in drawing.table.groupby("condition", sort=False):
+        thick, thin = mine[mine["epochs"] == 5], mine[mine["epochs"] == 1]
+        assert (len(thick), len(thin)) == (81, 401)
+        assert thin["epoch"].tolist() == list(range(401))
+        best = results.epochs("condition", "epoch", "best")
+        means = best[best["condition"] == condition].groupby("epoch")["best"].mean()
+        assert np.array_equal(thin["mean"], means)
+        assert thick["mean"].iloc[0] == pytest.approx(means[:5].mean(), rel=1e-12)  # measured 2e-16
+        drawn = [list(line.get_ydata()) for line in drawing.figure.axes[0].lines]
+        assert thick["mean"].tolist() in drawn
+        assert thin["mean"].tolist() in drawn
+
+
+def test_conditions_that_are_not_asked_for_are_left_out(tmp_path):
+    results = results_of(tmp_path)
+    assert set(draw("figure-2b", results, Choice(conditions=("mass",))).table["condition"]) == {"mass"}
+
+
+def test_an_epoch_in_which_every_trial_diverges_is_a_gap(tmp_path):
+    def explode(body, behaviours, **_):
+        return outcome(np.zeros(len(behaviours)), np.ones(len(behaviours), dtype=bool))
+
+    sweep(study("log=epochs", seeds="0..1"), tmp_path, simulate=explode)
+    drawing = draw("figure-2b", load(tmp_path))
+    assert drawing.table["mean"].isna().all()
+    assert set(drawing.table["n"]) == {0}
+    assert texts(drawing.figure)[-2:] == ["fixed", "mass"]

@@ -1,4 +1,4 @@
-"""`wobblesim sweep`, `status`, `check` and `plot` as a user meets them, on a robot of three nodes."""
+"""`wobblesim sweep`, `status` and `check` as a user meets them, on a robot of three nodes."""
 
 import json
 import re
@@ -317,18 +317,14 @@ def test_status_counts_wanted_done_and_missing():
     assert found.stdout.endswith("nobody is writing\n")
 
 
-def test_plot_draws_anew_where_it_is_told_to():
-    call("sweep", "three.yaml")
-    found = call("plot", "results/three", "--out", "pictures/mine.png")
-    assert found.stdout == "pictures/mine.png\n"
-    assert Path("pictures/mine.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_picture_that_cannot_be_written_is_told_in_one_line(config):
-    call("sweep", "three.yaml")
-    found = call("plot", "results/three", "--out", "three.yaml/curve.png")
+def test_a_picture_that_cannot_be_written_is_told_in_one_line_and_the_results_are_safe():
+    Path("results/three").mkdir(parents=True)
+    Path("results/three/figures").write_text("in the way")
+    found = call("sweep", "three.yaml")
     assert found.exit_code == 1
-    assert re.fullmatch(r"cannot write three.yaml/curve.png: .*; the results are safe\n", found.stderr)
+    last = found.stderr.splitlines()[-1]
+    assert re.fullmatch(r"the results are safe, their picture is not: cannot write results/three/figures: .*", last)
+    assert len(read_manifest(Path("results/three")).runs) == 4
 
 
 def test_plain_lines_come_at_least_as_often_as_promised(capsys):

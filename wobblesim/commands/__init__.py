@@ -14,7 +14,10 @@ COMMANDS = {
     "verify": "wobblesim.commands.verify",
     "compact": "wobblesim.commands.compact",
     "rerun": "wobblesim.commands.rerun",
+    "stats": "wobblesim.commands.stats",
     "plot": "wobblesim.commands.plot",
+    "report": "wobblesim.commands.report",
+    "replay": "wobblesim.commands.replay",
     "check": "wobblesim.commands.check",
     "schema": "wobblesim.commands.schema",
     "accuracy": "wobblesim.commands.accuracy",
@@ -26,6 +29,9 @@ COMMANDS = {
 """Where each command lives: a module with a `command`."""
 
 INTERRUPTED = 130
+
+REFUSED = (("study.errors", "StoreError"), ("study.plan", "PlanError"), ("analysis.errors", "FigureError"))
+"""Errors, by module and name, whose message is one sentence for the user."""
 
 
 class LazyGroup(click.Group):
@@ -59,7 +65,7 @@ def _in_one_sentence(error: Exception) -> click.ClickException | None:
         return _Refusal(error.report())  # type: ignore[attr-defined]
     if _is(error, "study.errors", "WriteError"):
         return _NotWritten(str(error))
-    if _is(error, "study.errors", "StoreError") or _is(error, "study.plan", "PlanError"):
+    if any(_is(error, *refused) for refused in REFUSED):
         return _Refusal(str(error))
     return None
 

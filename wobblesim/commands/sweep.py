@@ -200,7 +200,7 @@ def _report(outcome: Outcome, as_json: bool, part: Shard | None) -> None:
 TOLD = ("wanted", "present", "done", "failed", "stopped", "seconds")
 
 
-def draw(folder: Path, path: Path | None = None) -> Path:
+def draw(folder: Path) -> Path:
     """Draw the learning curves of the results in a folder; return the path of the picture.
 
     Raises
@@ -208,18 +208,18 @@ def draw(folder: Path, path: Path | None = None) -> Path:
     WriteError
         If the picture cannot be written.
     """
-    from wobblesim.analysis.figures.learning import learning_curves, save
+    from wobblesim.analysis.figures.registry import draw as drawing_of
+    from wobblesim.analysis.figures.style import as_bytes
     from wobblesim.analysis.tables import load
+    from wobblesim.commands.plot import write
     from wobblesim.study.errors import WriteError
 
-    figure, path = learning_curves(load(folder)), path or folder / FIGURE
+    picture = as_bytes(drawing_of("figure-2b", load(folder)).figure, "png")
+    path = folder / FIGURE
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save(figure, path)
-    except OSError as error:
-        raise WriteError(
-            f"cannot write {path}: {(error.strerror or str(error)).lower()}; the results are safe"
-        ) from error
+        write(path.parent, {path.name: picture})
+    except WriteError as error:
+        raise WriteError(f"the results are safe, their picture is not: {error}") from error
     return path
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import NamedTuple
 
+import pandas as pd
+
+from wobblesim.analysis.errors import FigureError
 from wobblesim.analysis.figures.style import Drawing
+from wobblesim.analysis.statistics import baseline
 from wobblesim.analysis.tables import Results
+from wobblesim.study.errors import StoreError
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,63 @@ class Choice:
     baseline: str | None = None
     conditions: tuple[str, ...] | None = None
     seed: int | None = None
+
+    def shown(self, results: Results) -> list[str]:
+        """The conditions shown, in the order of the study.
+
+        Raises
+        ------
+        StoreError
+            If one has no run.
+        """
+        for name in self.conditions or ():
+            results.require(name)
+        return [name for name in results.conditions if self.conditions is None or name in self.conditions]
+
+    def reference(self, results: Results) -> str:
+        """The condition that others are compared with.
+
+        Raises
+        ------
+        StoreError
+            If it has no run.
+        """
+        if self.baseline is None:
+            return baseline(results.conditions)
+        results.require(self.baseline)
+        return self.baseline
+
+    def typical_seed(self, results: Results, conditions: Sequence[str]) -> int:
+        """The seed of the single runs that are shown, the same for all conditions, so that the runs are pairs.
+
+        It is the one asked for. Without one, it is the seed with the median gain among those with a score in all
+        conditions: the mean of the others' performance minus the baseline's, or the mean performance where no
+        baseline is shown. Of two in the middle it is the lower gain; if no seed has a score everywhere, the least seed.
+
+        Raises
+        ------
+        FigureError, StoreError
+            If a condition has no run of the seed, or no seed is common to all.
+        """
+        if self.seed is not None:
+            for name in conditions:
+                results.require(name, self.seed)
+            return self.seed
+        common = set.intersection(*(set(results.seeds(name)) for name in conditions))
+        if not common:
+            raise FigureError("no seed has a run in every condition shown; choose conditions that share one")
+        gains = self._gains(results, conditions).reindex(sorted(common)).dropna().sort_values(kind="stable")
+        return int(gains.index[(len(gains) - 1) // 2]) if len(gains) else min(common)
+
+    def _gains(self, results: Results, conditions: Sequence[str]) -> pd.Series:
+        """By seed, the mean performance of conditions, minus that of the baseline if it is among them."""
+        runs = results.runs("condition", "seed", "performance").pivot(
+            index="seed", columns="condition", values="performance"
+        )
+        reference = self.reference(results)
+        others = [name for name in conditions if name != reference] or list(conditions)
+        mean = runs[others].mean(axis="columns", skipna=False)
+        return mean - runs[reference] if reference in conditions and reference not in others else mean
 
 
 class Entry(NamedTuple):
@@ -63,7 +127,18 @@ GROUPS = {
 
 
 def expand(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of figures, groups replaced by what they stand for, each once."""
+    """Names of figures, groups replaced by what they stand for, each once.
+
+    Raises
+    ------
+    FigureError
+        If there is no such figure, with the nearest name.
+    """
+    for name in names:
+        if name not in FIGURES and name not in GROUPS:
+            close = difflib.get_close_matches(name, [*FIGURES, *GROUPS], n=1)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join([*FIGURES, *GROUPS])}"
+            raise FigureError(f"there is no figure {name!r}; {hint}")
     return tuple(dict.fromkeys(one for name in names for one in GROUPS.get(name, (name,))))
 
 
@@ -73,7 +148,29 @@ def draw(name: str, results: Results, choice: Choice | None = None) -> Drawing:
     Raises
     ------
     FigureError
-        If the study does not have what the figure shows; the sentence says what is missing.
+        If there is no such figure, or the study does not have what it shows; the sentence says what is missing.
+    StoreError
+        If a condition or a run that is asked for is not there.
     """
-    module = importlib.import_module(f"wobblesim.analysis.figures.{FIGURES[name].home}")
-    return module.draw(results, choice or Choice())
+    if name not in FIGURES:
+        expand([name])
+        raise FigureError(f"{name} stands for several figures: {', '.join(GROUPS[name])}; draw them one by one")
+    return _module(name).draw(results, choice or Choice())
+
+
+def lacking(name: str, results: Results, choice: Choice | None = None) -> str | None:
+    """What keeps a figure of `FIGURES` from being drawn, as a sentence; None if nothing does.
+
+    A module may have a function ``check(results, choice)`` that raises what ``draw`` would for want of data, without
+    the work; one that has none is drawn.
+    """
+    module = _module(name)
+    try:
+        getattr(module, "check", module.draw)(results, choice or Choice())
+    except (FigureError, StoreError) as error:
+        return str(error)
+    return None
+
+
+def _module(name: str) -> ModuleType:
+    return importlib.import_module(f"wobblesim.analysis.figures.{FIGURES[name].home}")
