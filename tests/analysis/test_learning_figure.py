@@ -59,10 +59,11 @@ def test_wobbles_that_end_at_different_epochs_have_a_ring_each(tmp_path):
 
 def test_many_conditions_have_a_legend_and_no_two_look_alike(tmp_path):
     thetas = ",".join(f"0.{k}" for k in range(61, 73))
-    axes = draw("figure-2b", results_of(tmp_path, f"sweep.physics.theta={thetas}", seeds="0")).figure.axes[0]
+    axes = draw("figure-2b", results_of(tmp_path, f"sweep.physics.theta={thetas}", seeds="0..1")).figure.axes[0]
     looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:14]]
     assert len(set(looks)) == 14
     assert len(axes.get_legend().get_texts()) == 14
+    assert not axes.collections  # bands of fourteen would hide the curves
 
 
 @pytest.mark.parametrize(
@@ -110,6 +111,15 @@ def test_with_many_epochs_the_table_has_the_thick_and_the_thin_line(tmp_path):
         drawn = [list(line.get_ydata()) for line in drawing.figure.axes[0].lines]
         assert thick["mean"].tolist() in drawn
         assert thin["mean"].tolist() in drawn
+
+
+def test_a_band_of_two_runs_does_not_flatten_the_curves(tmp_path):
+    drawing = draw("figure-2b", results_of(tmp_path, seeds="0..1"))
+    low, high = drawing.figure.axes[0].get_ylim()
+    means = drawing.table["mean"]
+    assert drawing.table["low"].min() < low < means.min()
+    assert drawing.table["high"].max() > high > means.max()
+    assert high - low <= 2 * np.ptp(means) * (1 + 1e-12)
 
 
 def test_conditions_that_are_not_asked_for_are_left_out(tmp_path):

@@ -20,6 +20,7 @@ from wobblesim.analysis.figures.style import (
     count,
     curves_figure,
     dress,
+    keep_in_sight,
     looks,
     mark_wobble_ends,
     name_curves,
@@ -79,6 +80,7 @@ def draw(results: Results, choice: Choice) -> Drawing:
         for curve, line in zip(found, lines, strict=True):
             _band(axes, curve, str(line.get_color()))
     over_epochs(axes, max(len(curve.every.mean) for curve in found) - 1)
+    keep_in_sight(axes, np.concatenate([[*curve.best.mean, *curve.every.mean] for curve in found]))
     rings = mark_wobble_ends(axes, lines, [curve.wobble_end for curve in found])
     name_curves(axes, lines)
     _dress(axes, results, found, stride, rings)

@@ -21,6 +21,7 @@ from wobblesim.analysis.figures.style import (
     count,
     curves_figure,
     dress,
+    keep_in_sight,
     looks,
     mark_wobble_ends,
     name_curves,
@@ -29,8 +30,8 @@ from wobblesim.analysis.figures.style import (
 from wobblesim.analysis.statistics import Mean, mean_of
 from wobblesim.analysis.tables import Results
 
-WIDE = 30.0
-"""Ratio of the largest to the least distance from which on the axis is logarithmic."""
+WIDE, DEEPEST = 30.0, 1e5
+"""Ratios of the largest to the least distance: from which on the axis is logarithmic, and how far it goes at most."""
 
 
 class Curve(NamedTuple):
@@ -122,9 +123,10 @@ def _scale(axes: Axes, found: Sequence[Curve]) -> None:
     if len(positive) and positive.max() > WIDE * positive.min():
         # What is zero, and the lower edge of a band that reaches it, lies on the lower edge of the picture.
         axes.set_yscale("log", nonpositive="clip")
-        axes.set_ylim(positive.min() / 2, positive.max() * 2)
-    else:
-        axes.set_ylim(0.0, min(axes.get_ylim()[1], 2 * max(means.max(), np.finfo(float).tiny)))
+        axes.set_ylim(max(positive.min() / 2, positive.max() / DEEPEST), positive.max() * 2)
+        return
+    keep_in_sight(axes, means)
+    axes.set_ylim(bottom=0.0)
 
 
 def _ends(results: Results, found: Sequence[Curve]) -> list[float]:

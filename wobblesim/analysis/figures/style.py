@@ -190,6 +190,15 @@ def spread(heights: Sequence[float], gap: float) -> list[float]:
     return placed.tolist()
 
 
+def keep_in_sight(axes: Axes, curves: ArrayLike) -> None:
+    """Cut bands that leave the curves by more than half of the curves' range: those of two runs would flatten them."""
+    known = np.asarray(curves, dtype=np.float64)
+    known = known[np.isfinite(known)]
+    if len(known) and (span := float(np.ptp(known))) > 0.0:
+        low, high = axes.get_ylim()
+        axes.set_ylim(max(low, known.min() - span / 2), min(high, known.max() + span / 2))
+
+
 def mark_wobble_ends(axes: Axes, lines: Sequence[Line2D], ends: ArrayLike) -> bool:
     """A line across where all wobbles end together, else a ring on each curve; returns whether there are rings.
 
