@@ -94,7 +94,8 @@ def test_the_linter_looks_for_the_rest_and_what_it_is_told_to_overlook_is_known(
         for comment in re.findall(r"# noqa: ([A-Z0-9, ]+)", path.read_text(encoding="utf-8"))
         for rule in re.findall(r"S\d+", comment)
     }
-    assert overlooked == {(OWN_KERNELS, "S301"), ("wobblesim/study/provenance.py", "S603")}
+    programs = {("wobblesim/study/provenance.py", "S603"), ("wobblesim/viewing/animation.py", "S603")}  # git, ffmpeg
+    assert overlooked == {(OWN_KERNELS, "S301")} | programs
 
 
 # --- planted files are not opened ----------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from wobblesim.analysis.exploration import principal_components, search_distances, split_of
 from wobblesim.analysis.figures.registry import Choice
 from wobblesim.analysis.figures.scatter import require_kept
-from wobblesim.analysis.figures.style import MOST_COLUMNS, SEQUENTIAL, Drawing, dress, new_figure, panels
+from wobblesim.analysis.figures.style import MOST_COLUMNS, SEQUENTIAL, Drawing, count, dress, new_figure, panels
 from wobblesim.analysis.tables import Results
 
 MARKS = {"start": "v", "half-way": "o", "end": "*"}
@@ -30,7 +31,10 @@ class Map(NamedTuple):
     Attributes
     ----------
     rows : DataFrame
-        Behaviours that were the best of their epoch, and their ancestors, with ``component_1`` and ``component_2``.
+        Behaviours that were the best of their epoch, and their ancestors, with ``component_1`` and ``component_2``; of
+        one tree, that of the final best.
+    left_out : int
+        Epochs whose best behaviour is of another tree.
     edges : (n_edges, 2, 2)
         Segments from a parent to a child that differs from it.
     born : (n_edges,)
@@ -44,6 +48,7 @@ class Map(NamedTuple):
     """
 
     rows: pd.DataFrame
+    left_out: int
     edges: NDArray[np.float64]
     born: NDArray[np.int64]
     explained: NDArray[np.float64]
@@ -55,7 +60,8 @@ class Map(NamedTuple):
 def draw(results: Results, choice: Choice) -> Drawing:
     """Draw a panel a condition: the best behaviour of each epoch and its ancestors, of one run, and who made whom.
 
-    The run is that of `Choice.typical_seed`. Each panel has principal components of its own, of all distinct behaviours
+    The run is that of `Choice.typical_seed`. A run begins with many behaviours, the paper's with one: what does not
+    descend from the same one as the final best, as the best of the first epochs may not, is left out. Each panel has principal components of its own, of all distinct behaviours
     that are shown. A line goes from a behaviour to one that was made from it, coloured by epoch. Red marks lie on the
     ancestry of the final best behaviour: its ancestor in epoch 0, that where the wobble ends (half-way for a fixed
     robot), and itself. The title says the search distance between them, a sum of Euclidean distances of genotypes, and
@@ -80,10 +86,8 @@ def draw(results: Results, choice: Choice) -> Drawing:
     figure.colorbar(all_panels[0].collections[0], ax=all_panels, label="epoch", shrink=0.7, aspect=30)
     figure.legend(handles=_legend(), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     figure.suptitle(
-        f"the best behaviour of each epoch and its ancestors, run with seed {seed}\n"
-        "titles: search distances of this run, and means with 99 % confidence",
-        x=0.01, ha="left", fontsize=9, color="0.3",
-    )  # fmt: skip
+        _says(seed, [found.left_out for found in maps.values()]), x=0.01, ha="left", fontsize=9, color="0.3"
+    )
     table = pd.concat([found.rows.assign(condition=name, seed=seed) for name, found in maps.items()], ignore_index=True)
     return Drawing(figure, table[[*COLUMNS]])
 
@@ -115,7 +119,10 @@ def check(results: Results, choice: Choice) -> None:
 
 def map_of(results: Results, condition: str, seed: int) -> Map:
     """Work out the map of a run."""
-    rows = results.lineage(*OF_LINEAGE, condition=condition, seed=seed)
+    forest = results.lineage(*OF_LINEAGE, condition=condition, seed=seed)
+    root = _roots(forest)
+    mine = root == root[forest["final"]][-1]
+    rows = forest[mine].reset_index(drop=True)
     run = results.runs("condition", "seed", "path_before", "path_after", "wobble.end", "learning.epochs")
     run = run[(run["condition"] == condition) & (run["seed"] == seed)].iloc[0]
     split = min(split_of(run), int(rows["epoch"].max()))
@@ -129,10 +136,22 @@ def map_of(results: Results, condition: str, seed: int) -> Map:
     edges = np.stack([scores[_parents(rows, child)], scores[child]], axis=1)
     rows["mark"] = _marks(rows, split)
     born = rows["epoch"].to_numpy(np.int64)[child]
-    return Map(rows, edges, born, explained, float(run["path_before"]), float(run["path_after"]), split)
+    left_out = int(forest["best"][~mine].sum())
+    return Map(rows, left_out, edges, born, explained, float(run["path_before"]), float(run["path_after"]), split)
 
 
 OF_LINEAGE = ("epoch", "slot", "parent", "performance", "best", "final", "genotype", "modification")
+
+
+def _roots(rows: pd.DataFrame) -> NDArray[np.intp]:
+    """Where the ancestor in epoch 0 of each row stands."""
+    ancestor = np.arange(len(rows))
+    later = np.flatnonzero(rows["epoch"] > 0)
+    ancestor[later] = _parents(rows, later)
+    # Parents of parents of parents: twice as far back each time.
+    while not np.array_equal(further := ancestor[ancestor], ancestor):
+        ancestor = further
+    return ancestor
 
 
 def _parents(rows: pd.DataFrame, child: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -188,6 +207,14 @@ def _mean_distances(mean: pd.Series) -> str:
         return "the only run"
     before, after = (f"{mean[name]:.2f} ± {mean[f'{name}_half_width']:.2f}" for name in ("before", "after"))
     return f"{int(mean['n'])} runs: {before}, then {after}"
+
+
+def _says(seed: int, left_out: Sequence[int]) -> str:
+    some = f", but for {count(left_out, 'epoch')} of other descent" if any(left_out) else ""
+    return (
+        f"the best behaviour of each epoch and its ancestors{some}, run with seed {seed}\n"
+        "titles: search distances of this run, and means with 99 % confidence"
+    )
 
 
 def _legend() -> list[Line2D]:
