@@ -15,7 +15,9 @@ from wobblesim.commands.options import echo_json, json_option
     "--out", metavar="FILE", type=click.Path(path_type=Path), help="Page to write.  [default: DIR/report.html]"
 )
 @click.option("--baseline", metavar="ID", help="Condition to compare with.  [default: fixed, else the first]")
-@click.option("--no-players", is_flag=True, help="Leave out the robots to watch: nothing is simulated for them.")
+@click.option(
+    "--no-players", is_flag=True, help="Simulate nothing: leave out robots to watch, and gaits on other bodies."
+)
 @json_option
 def command(folder: Path, out: Path | None, baseline: str | None, no_players: bool, as_json: bool) -> None:
     """Write a page on the results in DIR: the main result, figures, statistics, robots to watch, provenance.
@@ -32,8 +34,9 @@ def command(folder: Path, out: Path | None, baseline: str | None, no_players: bo
         raise click.BadParameter(f"{out} does not end in .html, and a page is what is written", param_hint="--out")
     from wobblesim.viewing.report import NAME, report
 
-    _tell_of_kernels()
-    made = report(folder, baseline=baseline, players=not no_players, tell=lambda what: click.echo(what, err=True))
+    if not no_players:
+        _tell_of_kernels()
+    made = report(folder, baseline=baseline, simulate=not no_players, tell=lambda what: click.echo(what, err=True))
     path = made.save(out or folder / NAME)
     size = path.stat().st_size
     if as_json:

@@ -14,6 +14,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +48,9 @@ SECTIONS = {
     "other-bodies": ("generalisation",),
 }
 """Figures by the section that they stand in."""
+
+SIMULATED = ("other-bodies",)
+"""Sections whose figures take simulation."""
 
 LARGE = 200_000
 """Bytes of an SVG above which the PNG is taken, if that is smaller."""
@@ -132,7 +136,7 @@ def report(
     results: Results | str | Path,
     *,
     baseline: str | None = None,
-    players: bool = True,
+    simulate: bool = True,
     tell: Tell | None = None,
 ) -> Report:
     """Make a page on a study, also on one that is not finished.
@@ -144,8 +148,8 @@ def report(
     results : Results, or path of a results folder
     baseline : str, optional
         Condition that others are compared with; without it, ``fixed`` if there is such a condition, else the first.
-    players : bool
-        Whether robots are in it, which are simulated again.
+    simulate : bool
+        Whether what has to be simulated is in it: the robots to watch, and the learnt gaits on other bodies.
     tell : callable, optional
         Called with what is being made, in a few words.
 
@@ -154,11 +158,13 @@ def report(
     StoreError
         If there is no finished run, or none of the baseline.
     """
-    results, tell = results if isinstance(results, Results) else load(results), tell or (lambda _: None)
+    results = _Remembered.of(results if isinstance(results, Results) else load(results))
+    tell = tell or (lambda _: None)
     tell("statistics")
     found = compare(results, baseline)
-    figures = _figures(results, Choice(baseline=found.baseline), tell)
-    robots = _players(results, found, tell) if players else []
+    sections = SECTIONS if simulate else SECTIONS | dict.fromkeys(SIMULATED, ())
+    figures = _figures(results, [name for names in sections.values() for name in names], found.baseline, tell)
+    robots = _players(results, found, tell) if simulate else []
     headline = headline_of(found, performance_label(results))
     page = render(
         "report.html",
@@ -169,14 +175,33 @@ def report(
         scripts=(player_script(), asset("report.js")),
         **_standing(results, found),
         settings=_settings(results),
-        sections={name: [it for it in figures if it.name in names] for name, names in SECTIONS.items()},
+        sections={name: [it for it in figures if it.name in names] for name, names in sections.items()},
         statistics=_statistics(found),
         players=robots,
-        has_players=players,
+        is_simulated=simulate,
         provenance=_provenance(results),
     )
     left_out = {it.name: it.why for it in (*figures, *robots) if it.why}
     return Report(page, " ".join(headline), tuple(it.name for it in figures if not it.why), left_out)
+
+
+@dataclass(frozen=True)
+class _Remembered(Results):
+    """Results whose table of runs is read once: nearly every figure asks for it, and it may be thousands of files."""
+
+    @classmethod
+    def of(cls, results: Results) -> _Remembered:
+        return cls(results.folder, results.manifest)
+
+    @cached_property
+    def _whole(self) -> pd.DataFrame:
+        return super().runs()
+
+    def runs(self, *columns: str) -> pd.DataFrame:
+        """One row a run."""
+        if set(columns) <= set(self._whole.columns):
+            return self._whole[list(columns or self._whole.columns)].copy()
+        return super().runs(*columns)  # which says why it has no such column
 
 
 def _policy() -> str:
@@ -496,9 +521,9 @@ class Figure(NamedTuple):
     csv: Link | None = None
 
 
-def _figures(results: Results, choice: Choice, tell: Tell) -> list[Figure]:
-    made = []
-    for name in (name for names in SECTIONS.values() for name in names):
+def _figures(results: Results, names: Sequence[str], baseline: str, tell: Tell) -> list[Figure]:
+    made, choice = [], Choice(baseline=baseline)
+    for name in names:
         tell(name)
         says = FIGURES[name].says
         try:

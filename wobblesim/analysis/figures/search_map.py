@@ -61,11 +61,12 @@ def draw(results: Results, choice: Choice) -> Drawing:
     """Draw a panel a condition: the best behaviour of each epoch and its ancestors, of one run, and who made whom.
 
     The run is that of `Choice.typical_seed`. A run begins with many behaviours, the paper's with one: what does not
-    descend from the same one as the final best, as the best of the first epochs may not, is left out. Each panel has principal components of its own, of all distinct behaviours
-    that are shown. A line goes from a behaviour to one that was made from it, coloured by epoch. Red marks lie on the
-    ancestry of the final best behaviour: its ancestor in epoch 0, that where the wobble ends (half-way for a fixed
-    robot), and itself. The title says the search distance between them, a sum of Euclidean distances of genotypes, and
-    in its second line the mean over the runs with its 99 % interval.
+    descend from the same one as the final best, as the best of the first epochs may not, is left out. Each panel has
+    principal components of its own, of all distinct behaviours that are shown. A line goes from a behaviour to one that
+    was made from it, coloured by epoch. Red marks lie on the ancestry of the final best behaviour: its ancestor in
+    epoch 0, that where the wobble ends (half-way for a fixed robot), and itself. The title says the search distance
+    between them, a sum of Euclidean distances of genotypes, and in its second line the mean over the runs with its
+    99 % interval.
 
     The table has a row for each behaviour in each of its epochs: ``condition``, ``seed``, ``epoch``, ``slot``,
     ``parent`` (slot in the epoch before), ``performance`` in body lengths, ``best`` of the epoch, ``final`` for the
