@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 from study.toy import StopAfter, outcome, study, toy
 
+from wobblesim.analysis import tables
 from wobblesim.analysis.statistics import (
     _moments,
     baseline,
@@ -18,7 +19,7 @@ from wobblesim.analysis.statistics import (
     rank_biserial,
     summary,
 )
-from wobblesim.analysis.tables import load
+from wobblesim.analysis.tables import load, remembered
 from wobblesim.study.execute import sweep
 from wobblesim.study.store import StoreError
 
@@ -283,3 +284,12 @@ def test_frames_are_plain_numbers_and_words(results):
     frame = results.runs()
     assert frame["performance"].dtype == np.float64
     assert pd.api.types.is_integer_dtype(frame["diverged"])
+
+
+def test_remembered_runs_are_read_once_and_cannot_be_spoilt(results, monkeypatch):
+    plain, kept = results.runs("condition", "seed", "performance"), remembered(results)
+    pd.testing.assert_frame_equal(kept.runs("condition", "seed", "performance"), plain)
+    monkeypatch.setattr(tables, "read_tables", None)
+    spoilt = kept.runs()
+    spoilt["performance"] = 0.0
+    pd.testing.assert_frame_equal(kept.runs("condition", "seed", "performance"), plain)

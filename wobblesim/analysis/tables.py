@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pandas as pd
@@ -170,3 +171,26 @@ def load(folder: str | Path) -> Results:
     if not manifest.runs:
         raise StoreError(f"{folder} holds no finished run yet; give the sweep command again to go on")
     return Results(folder, manifest)
+
+
+@dataclass(frozen=True)
+class _Remembered(Results):
+    """Results whose table of runs is read once."""
+
+    @cached_property
+    def _whole(self) -> pd.DataFrame:
+        return super().runs()
+
+    def runs(self, *columns: str) -> pd.DataFrame:
+        """One row a run: result and settings."""
+        if set(columns) <= set(self._whole.columns):
+            return self._whole[list(columns or self._whole.columns)].copy()
+        return super().runs(*columns)  # which says why it has no such column
+
+
+def remembered(results: Results) -> Results:
+    """The same results, with the table of runs kept: for many figures, of which each asks for it.
+
+    It may be thousands of files, and takes memory for all of its columns.
+    """
+    return _Remembered(results.folder, results.manifest)

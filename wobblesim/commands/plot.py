@@ -68,10 +68,10 @@ def command(
         wobblesim plot results/study --list
     """  # noqa: D301 - click reads the backspace
     from wobblesim.analysis.figures.registry import Choice, expand
-    from wobblesim.analysis.tables import load
+    from wobblesim.analysis.tables import load, remembered
 
     chosen = expand(names or ("all",))
-    results = load(folder)
+    results = remembered(load(folder))
     choice = Choice(baseline, conditions or None, seed)
     choice.shown(results)
     choice.reference(results)

@@ -14,7 +14,6 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +25,7 @@ from wobblesim.analysis.errors import FigureError
 from wobblesim.analysis.export import COLUMNS, flat, p_text, with_interval, with_width
 from wobblesim.analysis.figures.registry import FIGURES, Choice, draw
 from wobblesim.analysis.figures.style import Drawing, as_bytes, performance_label
-from wobblesim.analysis.tables import Results, load
+from wobblesim.analysis.tables import Results, load, remembered
 from wobblesim.study.errors import StoreError, not_written
 from wobblesim.study.files import make_folder, read_about, write_atomically
 from wobblesim.study.manifest import Manifest, RunKey
@@ -158,7 +157,7 @@ def report(
     StoreError
         If there is no finished run, or none of the baseline.
     """
-    results = _Remembered.of(results if isinstance(results, Results) else load(results))
+    results = remembered(results if isinstance(results, Results) else load(results))
     tell = tell or (lambda _: None)
     tell("statistics")
     found = compare(results, baseline)
@@ -183,25 +182,6 @@ def report(
     )
     left_out = {it.name: it.why for it in (*figures, *robots) if it.why}
     return Report(page, " ".join(headline), tuple(it.name for it in figures if not it.why), left_out)
-
-
-@dataclass(frozen=True)
-class _Remembered(Results):
-    """Results whose table of runs is read once: nearly every figure asks for it, and it may be thousands of files."""
-
-    @classmethod
-    def of(cls, results: Results) -> _Remembered:
-        return cls(results.folder, results.manifest)
-
-    @cached_property
-    def _whole(self) -> pd.DataFrame:
-        return super().runs()
-
-    def runs(self, *columns: str) -> pd.DataFrame:
-        """One row a run."""
-        if set(columns) <= set(self._whole.columns):
-            return self._whole[list(columns or self._whole.columns)].copy()
-        return super().runs(*columns)  # which says why it has no such column
 
 
 def _policy() -> str:
