@@ -26,6 +26,16 @@ class Mean(NamedTuple):
     half_width: NDArray[np.float64]
     n: NDArray[np.int64]
 
+    @property
+    def low(self) -> NDArray[np.float64]:
+        """Lower end of the interval."""
+        return self.mean - self.half_width
+
+    @property
+    def high(self) -> NDArray[np.float64]:
+        """Upper end of the interval."""
+        return self.mean + self.half_width
+
 
 def mean_of(values: ArrayLike) -> Mean:
     """Mean over the first axis, with the interval of Student's t at `CONFIDENCE`.

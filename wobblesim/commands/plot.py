@@ -123,15 +123,10 @@ def write(home: Path, files: Mapping[str, bytes]) -> list[Path]:
     WriteError
         If the system refuses: no space, no permission, no folder.
     """
-    from wobblesim.study.errors import not_written
-    from wobblesim.study.files import make_folder, write_atomically
+    from wobblesim.study.files import write_whole
 
-    try:
-        make_folder(home)
-    except OSError as error:
-        raise not_written(home, error) from error
     for name, content in files.items():
-        write_atomically(home / name, home, content)
+        write_whole(home / name, content)
     return [home / name for name in files]
 
 

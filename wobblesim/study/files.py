@@ -128,6 +128,21 @@ def write_atomically(path: Path, scratch: Path, content: Buffer) -> None:
     move_all([(temporary, path)])
 
 
+def write_whole(path: Path, content: Buffer) -> None:
+    """Write a file where a user wants it, and make its folder: there is the whole new file or what was there before.
+
+    Raises
+    ------
+    WriteError
+        If the system refuses: no space, no permission, no folder.
+    """
+    try:
+        make_folder(path.absolute().parent)
+    except OSError as error:
+        raise not_written(path.parent, error) from error
+    write_atomically(path, path.parent, content)
+
+
 # --- tables --------------------------------------------------------------------------------------------------------
 
 

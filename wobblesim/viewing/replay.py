@@ -14,8 +14,8 @@ import pandas as pd
 
 from wobblesim.analysis.statistics import baseline
 from wobblesim.analysis.tables import Results, load
-from wobblesim.study.errors import StoreError, not_written
-from wobblesim.study.files import make_folder, write_atomically
+from wobblesim.study.errors import StoreError
+from wobblesim.study.files import write_whole
 from wobblesim.study.group import written_seeds
 from wobblesim.study.manifest import RunKey
 from wobblesim.viewing import animation
@@ -81,11 +81,7 @@ class Replay:
         check_name(path)
         film = FILMS.get(path.suffix.lower())
         content = film(self.recordings, seconds, fps) if film else self.html.encode()
-        try:
-            make_folder(path.absolute().parent)
-        except OSError as error:
-            raise not_written(path, error) from error
-        write_atomically(path, path.parent, content)
+        write_whole(path, content)
         return path
 
     def __repr__(self) -> str:

@@ -26,8 +26,8 @@ from wobblesim.analysis.export import COLUMNS, flat, p_text, with_interval, with
 from wobblesim.analysis.figures.registry import FIGURES, Choice, draw
 from wobblesim.analysis.figures.style import Drawing, as_bytes, performance_label
 from wobblesim.analysis.tables import Results, load, remembered
-from wobblesim.study.errors import StoreError, not_written
-from wobblesim.study.files import make_folder, read_about, write_atomically
+from wobblesim.study.errors import StoreError
+from wobblesim.study.files import read_about, write_whole
 from wobblesim.study.manifest import Manifest, RunKey
 from wobblesim.study.provenance import version_of
 from wobblesim.study.schema import PARAMETERS
@@ -113,11 +113,7 @@ class Report:
             If the system refuses to write.
         """
         path = Path(path)
-        try:
-            make_folder(path.absolute().parent)
-        except OSError as error:
-            raise not_written(path, error) from error
-        write_atomically(path, path.parent, self.html.encode())
+        write_whole(path, self.html.encode())
         return path
 
     def __repr__(self) -> str:

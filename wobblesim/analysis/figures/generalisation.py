@@ -17,6 +17,7 @@ from wobblesim.analysis.figures.style import (
     MOST_LABELS,
     WIDTH,
     Drawing,
+    band,
     count,
     dress,
     looks,
@@ -84,12 +85,12 @@ def points(tried: pd.DataFrame) -> pd.DataFrame:
 
 
 def _point(tried: pd.DataFrame) -> dict[str, float]:
-    mean, half_width, n = mean_of(tried["performance"])
+    found = mean_of(tried["performance"])
     return {
-        "mean": float(mean),
-        "low": float(mean - half_width),
-        "high": float(mean + half_width),
-        "n": int(n),
+        "mean": float(found.mean),
+        "low": float(found.low),
+        "high": float(found.high),
+        "n": int(found.n),
         "diverged": int((tried["status"] == "diverged").sum()),
         "stored": int(tried["stored"].notna().sum()),
         "repeated": int((tried["stored"] == tried["performance"]).sum()),
@@ -128,7 +129,7 @@ def _curve(
     """A thin line, one of so many, that is thick where the robot has been while it learned."""
     (color, dash), factor, mean = seen, points["factor"].to_numpy(), points["mean"].to_numpy()
     if of <= MOST_BANDS:
-        axes.fill_between(factor, points["low"], points["high"], color=color, alpha=0.15, linewidth=0)
+        band(axes, factor, points["low"], points["high"], color)
     lost = points[points["diverged"] > 0]
     axes.plot(lost["factor"], lost["mean"], marker="x", markersize=6, color=color, linestyle="none")
     thick = 2.6 if of <= MOST_LABELS else 1.6
@@ -142,8 +143,8 @@ def _title(table: pd.DataFrame, tried: pd.DataFrame, runs: pd.DataFrame) -> str:
     scored = runs[runs["performance"].notna()].groupby("condition", observed=True).size()
     used = tried.groupby("condition", observed=True)["seed"].nunique()
     first = f", the first of {scored.max():,}" if scored.max() > used.max() else ""
-    band = ", band: 99 % confidence" if _most_curves(table) <= MOST_BANDS and used.max() > 1 else ""
-    parts = [f"mean of {count(used, 'run')} a condition{first}{band}; thick, dot: factors met while learning"]
+    bands = ", band: 99 % confidence" if _most_curves(table) <= MOST_BANDS and used.max() > 1 else ""
+    parts = [f"mean of {count(used, 'run')} a condition{first}{bands}; thick, dot: factors met while learning"]
     if lost := int(table["diverged"].sum()):
         parts.append(f"cross: {lost:,} of {len(tried):,} trials diverged and are left out")
     if unscored := int(runs["performance"].isna().sum()):

@@ -17,6 +17,7 @@ from wobblesim.analysis.figures.style import (
     ABOVE_WORDS,
     MOST_LABELS,
     Drawing,
+    band,
     count,
     curves_figure,
     dress,
@@ -78,7 +79,7 @@ def draw(results: Results, choice: Choice) -> Drawing:
     lines = [_draw(axes, curve, *look) for curve, look in zip(found, seen, strict=True)]
     if _banded(found):
         for curve, line in zip(found, lines, strict=True):
-            _band(axes, curve, str(line.get_color()))
+            band(axes, curve.epoch, curve.best.low, curve.best.high, line.get_color())
     over_epochs(axes, max(len(curve.every.mean) for curve in found) - 1)
     keep_in_sight(axes, np.concatenate([[*curve.best.mean, *curve.every.mean] for curve in found]))
     rings = mark_wobble_ends(axes, lines, [curve.wobble_end for curve in found])
@@ -135,15 +136,10 @@ def _banded(found: Sequence[Curve]) -> bool:
     return len(found) <= MOST_LABELS and max(curve.runs for curve in found) > 1
 
 
-def _band(axes: Axes, curve: Curve, color: str) -> None:
-    mean, half_width, _ = curve.best
-    axes.fill_between(curve.epoch, mean - half_width, mean + half_width, color=color, alpha=0.15, linewidth=0)
-
-
 def _dress(axes: Axes, results: Results, found: Sequence[Curve], stride: int, rings: bool) -> None:
     runs = [curve.runs for curve in found]
-    band = ", band: 99 % confidence" if _banded(found) else ""
-    title = f"mean of {count(runs, 'run')} a condition{band}{', ring: wobble ends' if rings else ''}"
+    bands = ", band: 99 % confidence" if _banded(found) else ""
+    title = f"mean of {count(runs, 'run')} a condition{bands}{', ring: wobble ends' if rings else ''}"
     x = "epoch" if stride == 1 else f"epoch (thick: means of {stride} epochs, thin: each epoch)"
     dress(axes, x, f"best trial of the epoch\n({performance_label(results)})", title, pad=ABOVE_WORDS)
 
@@ -164,8 +160,8 @@ def _frame(condition: str, epoch: NDArray[np.float64], epochs: int, best: Mean) 
             "epoch": epoch,
             "epochs": epochs,
             "mean": best.mean,
-            "low": best.mean - best.half_width,
-            "high": best.mean + best.half_width,
+            "low": best.low,
+            "high": best.high,
             "n": best.n,
         }
     )

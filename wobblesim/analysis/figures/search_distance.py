@@ -18,6 +18,7 @@ from wobblesim.analysis.figures.style import (
     ABOVE_WORDS,
     MOST_LABELS,
     Drawing,
+    band,
     count,
     curves_figure,
     dress,
@@ -63,14 +64,14 @@ def draw(results: Results, choice: Choice) -> Drawing:
     banded = len(found) <= MOST_LABELS and max(curve.runs for curve in found) > 1
     if banded:
         for curve, line in zip(found, lines, strict=True):
-            _band(axes, curve, str(line.get_color()))
+            band(axes, curve.epoch, curve.distance.low, curve.distance.high, line.get_color())
     over_epochs(axes, max(curve.epoch[-1] + curve.window // 2 for curve in found))
     _scale(axes, found)
     rings = mark_wobble_ends(axes, lines, _ends(results, found))
     name_curves(axes, lines)
     runs, windows = count([curve.runs for curve in found], "run"), count([curve.window for curve in found], "epoch")
-    band = ", band: 99 % confidence" if banded else ""
-    title = f"moving average over {windows}, mean of {runs} a condition{band}{', ring: wobble ends' if rings else ''}"
+    bands = ", band: 99 % confidence" if banded else ""
+    title = f"moving average over {windows}, mean of {runs} a condition{bands}{', ring: wobble ends' if rings else ''}"
     dress(axes, "epoch", "search distance of an epoch\n(from best to best behaviour)", title, pad=ABOVE_WORDS)
     return Drawing(figure, pd.concat([_rows(curve) for curve in found], ignore_index=True))
 
@@ -111,11 +112,6 @@ def _draw(axes: Axes, curve: Curve, color: str, dash: str) -> Line2D:
     )[0]
 
 
-def _band(axes: Axes, curve: Curve, color: str) -> None:
-    mean, half_width, _ = curve.distance
-    axes.fill_between(curve.epoch, mean - half_width, mean + half_width, color=color, alpha=0.15, linewidth=0)
-
-
 def _scale(axes: Axes, found: Sequence[Curve]) -> None:
     """Make the axis logarithmic if distances span decades, else begin it at zero; bands of few runs are cut."""
     means = np.concatenate([curve.distance.mean for curve in found])
@@ -136,15 +132,14 @@ def _ends(results: Results, found: Sequence[Curve]) -> list[float]:
 
 
 def _rows(curve: Curve) -> pd.DataFrame:
-    mean, half_width, n = curve.distance
     return pd.DataFrame(
         {
             "condition": curve.condition,
             "epoch": curve.epoch,
             "window": curve.window,
-            "mean": mean,
-            "low": mean - half_width,
-            "high": mean + half_width,
-            "n": n,
+            "mean": curve.distance.mean,
+            "low": curve.distance.low,
+            "high": curve.distance.high,
+            "n": curve.distance.n,
         }
     )

@@ -190,6 +190,11 @@ def spread(heights: Sequence[float], gap: float) -> list[float]:
     return placed.tolist()
 
 
+def band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: Any) -> None:
+    """Draw the band of a curve: its interval at each x (n,)."""
+    axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+
+
 def keep_in_sight(axes: Axes, curves: ArrayLike) -> None:
     """Cut bands that leave the curves by more than half of the curves' range: those of two runs would flatten them."""
     known = np.asarray(curves, dtype=np.float64)
