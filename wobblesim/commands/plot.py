@@ -123,10 +123,15 @@ def write(home: Path, files: Mapping[str, bytes]) -> list[Path]:
     WriteError
         If the system refuses: no space, no permission, no folder.
     """
-    from wobblesim.study.files import write_whole
+    from wobblesim.study.errors import not_written
+    from wobblesim.study.files import make_folder, write_atomically
 
+    try:
+        make_folder(home)  # one that cannot be made is told by its own name, not by that of the first file
+    except OSError as error:
+        raise not_written(home, error) from error
     for name, content in files.items():
-        write_whole(home / name, content)
+        write_atomically(home / name, home, content)
     return [home / name for name in files]
 
 

@@ -139,7 +139,7 @@ def write_whole(path: Path, content: Buffer) -> None:
     try:
         make_folder(path.absolute().parent)
     except OSError as error:
-        raise not_written(path.parent, error) from error
+        raise not_written(path, error) from error
     write_atomically(path, path.parent, content)
 
 
