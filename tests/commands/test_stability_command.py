@@ -36,8 +36,11 @@ def test_the_short_form_has_every_part(tmp_path):
     text = page.read_text()
     assert "$" not in text
     assert "short form" in text
-    for picture in (tmp_path / "_static").glob("*.png"):
+    shown = sorted((tmp_path / "_static").glob("*.png"))
+    assert [picture.name for picture in shown] == [f"stability-{path.name}" for path in sorted(out.glob("*.png"))]
+    for picture in shown:
         assert f"(_static/{picture.name})" in text
+        assert picture.with_suffix(".svg").read_text().rstrip().endswith("</svg>")
 
 
 @pytest.mark.parametrize("options", [["--short", "--write-safe"], ["--dt", "0.01"], ["--out", __file__]])

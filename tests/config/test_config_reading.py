@@ -133,19 +133,19 @@ def test_quotes_make_text() -> None:
     ids=lambda value: None if len(value) < 40 else value[:12].split()[0],
 )
 def test_bi_6_bombs_are_refused_at_once(text: str, words: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()  # whatever else is at work on the machine
     assert words in refusal_of(text).message
-    assert time.perf_counter() - start < 1.0  # measured 0.1 s at most; the catalogue asks for 0.2 s on an idle machine
+    assert time.process_time() - start < 1.0  # measured 0.1 s at most; the catalogue asks for 0.2 s on an idle machine
 
 
 def test_bi_6_a_large_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "large.yaml"
     path.write_text("name: a\nseeds: [" + "0, " * 3_500_000 + "0]\n", encoding="utf-8")
     tracemalloc.start()
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ConfigError, match="larger than 1,000,000 bytes"):
         load_config(path)
-    assert time.perf_counter() - start < 1.0  # measured 0.001 s
+    assert time.process_time() - start < 1.0  # measured 0.001 s
     assert tracemalloc.get_traced_memory()[1] < 20e6  # bytes, measured 1.0e6
     tracemalloc.stop()
 

@@ -8,7 +8,7 @@ import pytest
 from measures import slope
 
 import wobblesim as ws
-from wobblesim.numerics import accuracy, accuracy_verdict
+from wobblesim.numerics import accuracy, accuracy_verdict, reference
 from wobblesim.numerics.accuracy import Grid, Row
 from wobblesim.numerics.accuracy_page import page
 from wobblesim.numerics.accuracy_report import Report
@@ -16,14 +16,19 @@ from wobblesim.numerics.accuracy_sensitivity import sensitivity
 from wobblesim.numerics.accuracy_timing import seconds_per_second
 from wobblesim.numerics.reference import by_steps
 from wobblesim.numerics.scenes import SCENES
+from wobblesim.physics.simulate import full_block
 
 
 @pytest.fixture
 def untimed(monkeypatch):
-    """Errors without the wait for run times: every setting takes 1/dt."""
+    """Errors without the wait for run times: every setting takes 1/dt.
+
+    In the narrowest blocks, whose kernels other tests compile too: the bits are those of any width.
+    """
     monkeypatch.setattr(
         accuracy, "seconds_per_second", lambda case, settings, **pace: {s: 1.0 / s[0].dt for s in settings}
     )
+    monkeypatch.setattr(reference, "full_width", lambda physics: full_block(physics) // 4)
 
 
 def rows_of(scene, **options):

@@ -62,13 +62,13 @@ def _write(tables: Tables, effort: Effort, out: Path | None, page: Path | None, 
     """Write what was asked for; returns the places."""
     from wobblesim.numerics import safety, stability, stability_page, stability_safe
 
-    written = []
+    written, drawn = [], None
     if out:
         stability.write_tables(tables, out)
-        stability_page.draw(tables, out)
+        drawn = stability_page.draw(tables, out)
         written.append(out)
     if page:
-        stability_page.write(tables, effort, page)
+        stability_page.write(tables, effort, page, drawn)
         written.append(page)
     if write_safe:
         path = Path(safety.__file__).with_name(safety.FILE)

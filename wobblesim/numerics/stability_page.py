@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import shutil
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -23,8 +24,8 @@ from wobblesim.physics.scene import Floor, Physics
 TEMPLATE = "stability_page.md"
 
 
-def draw(tables: Tables, folder: Path, prefix: str = "") -> dict[str, str]:
-    """Write all pictures as PNG and SVG; returns the PNG's name of each."""
+def draw(tables: Tables, folder: Path, prefix: str = "") -> dict[str, Path]:
+    """Write all pictures as PNG and SVG; returns the PNG of each."""
     figures = {
         "spring": stability_maps.spring_figure(tables["curves"], tables["ladder"], tables["limits"]),
         **dict(stability_maps.box_figures(tables["box"])),
@@ -33,15 +34,27 @@ def draw(tables: Tables, folder: Path, prefix: str = "") -> dict[str, str]:
     }
     for name, figure in figures.items():
         stability_maps.save(figure, folder / f"{prefix}{name}")
-    return {name: f"{prefix}{name}.png" for name in figures}
+    return {name: folder / f"{prefix}{name}.png" for name in figures}
 
 
-def write(tables: Tables, effort: Effort, page: Path) -> None:
-    """Write the page, and its pictures into the folder ``_static`` beside it."""
-    pictures = draw(tables, page.parent / "_static", "stability-")
+def write(tables: Tables, effort: Effort, page: Path, drawn: Mapping[str, Path] | None = None) -> None:
+    """Write the page, and its pictures into the folder ``_static`` beside it.
+
+    Pictures that `draw` has written elsewhere already are copied from there: drawing takes as long as a short form.
+    """
+    folder, prefix = page.parent / "_static", "stability-"
+    pictures = _copy(drawn, folder, prefix) if drawn else draw(tables, folder, prefix)
     template = Template(resources.files("wobblesim.numerics").joinpath(TEMPLATE).read_text(encoding="utf-8"))
     words = _settings() | _effort(effort) | _pictures(pictures) | _measured(tables)
     page.write_text(template.substitute(words), encoding="utf-8")
+
+
+def _copy(drawn: Mapping[str, Path], folder: Path, prefix: str) -> dict[str, Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, path in drawn.items():
+        for suffix in (".png", ".svg"):
+            shutil.copyfile(path.with_suffix(suffix), folder / f"{prefix}{name}{suffix}")
+    return {name: folder / f"{prefix}{name}.png" for name in drawn}
 
 
 def markdown(text: Text) -> str:
@@ -82,9 +95,10 @@ def _ends(values: Sequence[float]) -> str:
     return f"{min(values):g} to {max(values):g}" if len(values) > 1 else f"{values[0]:g}"
 
 
-def _pictures(pictures: dict[str, str]) -> dict[str, str]:
-    boxes = [f"![Classes over the box: {name[4:]}](_static/{path})" for name, path in pictures.items() if "box" in name]
-    return {f"{name}_picture": path for name, path in pictures.items()} | {"box_pictures": "\n\n".join(boxes)}
+def _pictures(pictures: Mapping[str, Path]) -> dict[str, str]:
+    names = {name: path.name for name, path in pictures.items()}
+    boxes = [f"![Classes over the box: {name[4:]}](_static/{path})" for name, path in names.items() if "box" in name]
+    return {f"{name}_picture": path for name, path in names.items()} | {"box_pictures": "\n\n".join(boxes)}
 
 
 def _measured(tables: Tables) -> dict[str, str]:
